@@ -1,4 +1,4 @@
-"""A model with an own start in every environment, on one device and split over several."""
+"""A model with a different initial state in each environment, on one device and split over several."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ SMOOTH = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0),
 
 
 def scene():
-    """A box of points that remembers where it stuck, and a small fast sphere, on a terrain."""
+    """A box of points with friction history, and a small fast sphere, on a terrain."""
     made = wc.Scene()
     ground = made.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (20, 20), amplitude=0.1), name="ground")
     box = made.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.35), name="box")
@@ -27,7 +27,7 @@ def scene():
 
 
 def varied(model):
-    """Gives every environment its own start and parameters."""
+    """Gives each environment its own initial state and parameters."""
     spread = np.linspace(0.0, 1.0, model.envs)
     still = 0.0 * spread
     model["box.mass"] = 0.5 + spread
@@ -41,7 +41,7 @@ def varied(model):
 
 
 def both(device, devices, envs=ENVS, precision="float32"):
-    """Returns the model, and the same split over ``devices``."""
+    """Returns the model on one device, and split over ``devices``."""
     return tuple(varied(scene().build(envs, where, precision)) for where in (device, devices))
 
 

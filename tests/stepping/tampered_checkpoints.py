@@ -1,8 +1,8 @@
-"""Loads tampered checkpoints, one after the other, and steps on from those that are accepted.
+"""Loads tampered checkpoints one after the other and steps each one that is accepted.
 
     python tests/stepping/tampered_checkpoints.py CASE FIRST COUNT FOLDER
 
-Prints a line for each, so that the last line names the one that ended the process.
+Prints one line per checkpoint, so the last line names the one that ended the process.
 """
 
 import sys
@@ -57,7 +57,7 @@ def flip(rng, arrays, name):
 
 
 def other_shape(rng, arrays, name):
-    """Gives an array another shape or size."""
+    """Changes the shape or size of an array."""
     values = arrays[name]
     flat = values.reshape(-1)
     shapes = (flat[:-1], np.concatenate([flat, flat[:1]]), values[None], flat[:0], np.array(0, values.dtype))
@@ -65,7 +65,7 @@ def other_shape(rng, arrays, name):
 
 
 def other_type(rng, arrays, name):
-    """Gives an array another type."""
+    """Changes the type of an array."""
     values = arrays[name]
     kind = rng.choice(["int64", "float32", "bool", "<U3", "complex64", ">f8", "S2"])
     arrays[name] = values.astype(kind)
@@ -86,10 +86,10 @@ TAMPERINGS = (pattern, pattern, word, word, word, word, flip, flip, other_shape,
 
 
 def tampered(number, arrays, path):
-    """Writes the checkpoint of a number; returns what was done to it."""
+    """Writes the tampered checkpoint of a number; returns a description of the change."""
     rng = np.random.default_rng([7, number])
     arrays = dict(arrays)
-    # Parameters are many, and all checked alike.
+    # There are many parameters, and all are checked alike.
     names = [name for name in arrays if ("/values/" in name) == (number % 5 == 0)]
     name = rng.choice(names)
     tampering = TAMPERINGS[number % len(TAMPERINGS)]
@@ -105,7 +105,7 @@ def tampered(number, arrays, path):
 
 
 def check(sim, path):
-    """Loads a file; returns what came of it. Any other error ends the process."""
+    """Loads a file and steps; returns the result. Any unexpected error ends the process."""
     try:
         sim.load(path)
     except wc.CheckpointError as error:
@@ -114,7 +114,7 @@ def check(sim, path):
         sim.step(5)
         sim.model.sensor(sim.model.sensor_names[0])
     except RuntimeError as error:
-        if "partners" not in str(error):  # a list that was too short, which is part of the state
+        if "partners" not in str(error):  # neighbor list overflow; the list is part of the state
             raise
         return "raised"
     if sim.monitor_settings.outcomes:

@@ -1,4 +1,4 @@
-"""A simulation that is saved, and loaded elsewhere, goes on to the bit; what cannot be loaded is refused."""
+"""Checkpoints: a simulation restored elsewhere continues bitwise identically; invalid files are rejected."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from warpcontact.stepping import checkpoint
 
 
 def everything(ground_name="ground"):
-    """A scene with memory of all kinds: friction models, latches, lines, joints, shapes, lists of partners."""
+    """A scene with all kinds of history: friction models, latches, cables, joints, shapes, neighbor lists."""
     scene = wc.Scene()
     ground = scene.add_surface(square(5.0), name=ground_name)
     grip = wc.ContactMaterial(
@@ -74,7 +74,7 @@ def simulation(case, device, envs=3, **changes):
 
 
 def bits(sim):
-    """State and history; caches may differ, and must not change them."""
+    """Bytes of state and history. Caches are excluded, because they may differ without changing results."""
     return {name: values.tobytes() for name, values in checkpoint.state_of(sim).items()}
 
 
@@ -101,7 +101,7 @@ def test_simulation_loaded_from_checkpoint_continues_bitwise_identically(case, d
     assert bits(other) == bits(sim)
     if devices == "one":
         assert sensors(other) == sensors(sim)
-    # Saving is no part of the way, and one may go back.
+    # Saving does not change the simulation, and an earlier state can be loaded.
     sim.load(tmp_path / "state.npz")
     assert bits(sim) == before
 
@@ -169,7 +169,7 @@ def test_damaged_checkpoint_is_refused(device, tmp_path):
     whole = path.read_bytes()
     before = bits(sim)
     rng = np.random.default_rng(0)
-    # Behind the directory at the end of the file nothing is checked but what it leads to.
+    # After the directory at the end of the file, only the data it refers to are checked.
     for place in rng.integers(200, len(whole) * 3 // 4, 20):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x41]) + whole[place + 1 :])
         try:

@@ -1,4 +1,4 @@
-"""Checkpoints as data of strangers: tampered ones are refused, or run; they never end the process."""
+"""Untrusted checkpoints: tampered files are rejected or run; they never end the process."""
 
 import collections
 import os
@@ -14,9 +14,7 @@ import warpcontact as wc
 from warpcontact.stepping import checkpoint
 
 HERE = Path(__file__).parent
-# Where the process finds helper modules.
-PATHS = os.environ | {"PYTHONPATH": str(HERE.parent)}
-# For 50 files and the start of a process, on a slow machine [s].
+# Time limit [s] for 50 files and the start of a process on a slow machine.
 PATIENCE = 300
 
 
@@ -32,7 +30,7 @@ def test_tampered_checkpoint_neither_crashes_nor_hangs(case, times, tmp_path):
         assert done.returncode == 0, f"{lines[-1:]}\n{done.stderr[-2000:]}"
         assert len(lines) == 50
         ends.update(line.rpartition(" ")[2] for line in lines)
-    # Both happen: bits of positions may have any value, indices may not.
+    # Both results occur: bits of positions can have any value, indices cannot.
     assert ends["refused"] > 10 * times
     assert ends["ran"] > 5 * times
 
@@ -52,7 +50,7 @@ def named(arrays, end):
 
 
 def changed(values, place, new):
-    """Returns the bytes of an array with others from ``place`` on."""
+    """Returns the bytes of an array with ``new`` written at ``place``."""
     content = values.copy()
     content[place : place + new.nbytes] = new.view(np.uint8)
     return content
@@ -142,7 +140,7 @@ def test_invalid_clock_in_checkpoint_is_refused(value, saved, tmp_path):
 
 
 def test_frozen_environment_with_non_finite_state_is_restored(tmp_path):
-    """It was written by the user: no step leads there."""
+    """The user wrote that state; no step leads to it."""
     sim = simulation("impulses", "cpu", envs=2)
     sim.step(3)
     velocity = sim.state.body_linear_velocity.numpy()

@@ -1,4 +1,4 @@
-"""How kernels are built: side by side on a CPU, before a step waits for one; a GPU rounds every product."""
+"""Compilation of kernels: parallel on a CPU before the first step; without FMA contraction on a GPU."""
 
 import os
 import subprocess
@@ -40,7 +40,7 @@ def test_fma_is_disabled_on_gpu_only(threads):
 
 
 class Kernel:
-    """Something with a module, which is loaded by ``load``."""
+    """A stand-in for a kernel, with a module that ``load`` loads."""
 
     def __init__(self, load):
         self.module = SimpleNamespace(options={"fuse_fp": True}, load=lambda *_, **__: load())
@@ -87,7 +87,7 @@ def test_compilation_error_is_raised_and_stops_further_compilation(place):
 
 
 def test_process_can_end_with_a_step():
-    # No thread can be made any more then.
+    # No thread can be started at interpreter shutdown.
     code = """
 import threading, time, warpcontact as wc
 scene = wc.Scene()
@@ -145,7 +145,7 @@ def test_all_step_and_frame_kernels_are_precompiled(make, monkeypatch):
     launches = [*stepper.launches(), *stepper._evaluations.values(), stepper._step_after_evaluation]
     launched = {launch.kernel for some in launches for launch in some}
     assert len(launched) > 3
-    # What copies a frame is compiled in no time.
+    # The kernel that copies a frame compiles in negligible time.
     assert {kernel.key for kernel in launched - compiled} <= {"record_frame__locals__take_frame"}
 
 
@@ -158,7 +158,7 @@ class OwnLaw(wc.Law):
 
 
 def all_kinds(law):
-    """A contact, a smooth one, a pile, a spring and a motion, of formulas of the library but the law."""
+    """Point, shape and particle contact, a spring and a joint with models of the library, except the normal law."""
     scene = wc.Scene()
     material = wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.1))
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)))

@@ -1,4 +1,4 @@
-"""Events are the changes of contact that a recording of every step shows."""
+"""Events equal the changes of contact status in a recording of every step."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ DT = 2.0e-4
 
 
 def box(envs=3, device="cpu"):
-    """A box of four points that falls on a square, tilted another way in each environment, and a ball."""
+    """A box of four points that falls on a square, with a different tilt in each environment, and a sphere."""
     scene = wc.Scene()
     ground = scene.add_surface(square(), name="ground")
     law = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e4, exponent=1.0, restitution=0.6))
@@ -27,11 +27,11 @@ def box(envs=3, device="cpu"):
 
 
 def changes(recording, env, names):
-    """Returns (time, contact, item, made) of all changes of contact, in the order in which they are written."""
+    """Returns (time, contact, item, made) of all changes of contact, in the order of events."""
     time = recording["time"].to_numpy()
     found = []
     before = dict.fromkeys(names, 0)
-    # The last state is one that no step has begun from.
+    # The last state is not the start of any step.
     for number in range(len(time) - 1):
         for contact, name in enumerate(names):
             now = np.atleast_1d(recording[f"{name}.penetration"].to_numpy()[number, env] > 0.0)
@@ -45,7 +45,7 @@ def test_contact_events_match_changes_in_recording(device):
     names = ["feet", "touch"]
     steps = 3000
     record = [f"{name}.penetration" for name in names]
-    # Ordered sums: on a GPU two runs are the same then.
+    # Deterministic sums, so that two runs on a GPU are equal.
     recording = wc.Simulation(box(device=device), DT, deterministic=True).run(steps * DT, record=record, every=DT)
     sim = wc.Simulation(box(device=device), DT, deterministic=True, events=wc.ContactEvents(names, most=200))
     sim.step(steps)
@@ -57,7 +57,7 @@ def test_contact_events_match_changes_in_recording(device):
         count = len(expected)
         assert 10 < count < 200
         found = events.isel(env=env)
-        # Clocks are sums of steps.
+        # Environment clocks are sums of steps.
         np.testing.assert_allclose(found["time"][:count], [one[0] for one in expected], rtol=1e-11)
         for key, column in (("contact", 1), ("item", 2), ("made", 3)):
             np.testing.assert_array_equal(found[key][:count], [one[column] for one in expected])

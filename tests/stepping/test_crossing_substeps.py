@@ -1,4 +1,4 @@
-"""Steps in which a surface is crossed, taken again in parts: accuracy, and what they leave alone."""
+"""Substeps in steps that cross a surface: accuracy, and no effect on other environments and bodies."""
 
 import difficult_meshes
 import numpy as np
@@ -12,7 +12,7 @@ STATE = ("ball.position", "ball.orientation", "ball.linear_velocity", "ball.angu
 
 @PRECISIONS
 def test_crossing_step_is_resolved_in_substeps(precision, device):
-    """At its end depth and speed are those of the closed form, to first order in the part."""
+    """The penetration and speed at the end of the step match the closed form to first order in the substep."""
     start = np.column_stack([np.zeros((64, 2)), np.linspace(0.02, 0.095, 64)])
     velocity = np.tile([0.0, 0.0, -10.0], (64, 1))
     omega, dt, parts = 100.0, 1e-2, np.array([1, 2, 4, 8, 16])
@@ -32,12 +32,12 @@ def test_crossing_step_is_resolved_in_substeps(precision, device):
         np.testing.assert_allclose(sim.model.sensor("touch.crossing_time"), due, rtol=0, atol=3e-7)
         since = np.ceil(due / dt) * dt - due
         late = np.abs(depth - 10.0 / omega * np.sin(omega * since)).max()
-        # Between steps velocities are those of half a step before, with parts and without.
+        # Velocities belong to half a step before the end, with and without substeps.
         behind = 0.5 * dt * 10.0 * omega * np.sin(omega * since)
         fast = np.abs(speed - 10.0 * np.cos(omega * since) - behind).max()
         errors.append((late, fast))
     errors = np.array(errors)
-    # A part after the crossing passes without force.
+    # The first substep after the crossing has no force yet.
     bound = 10.0 * (omega * dt / parts) * np.array([[1.0 / omega], [1.0]])
     assert (bound > errors.T).all()
     order = np.log2(errors[1:-1] / errors[2:]).mean(axis=0)
@@ -47,7 +47,7 @@ def test_crossing_step_is_resolved_in_substeps(precision, device):
 @PRECISIONS
 @pytest.mark.parametrize("whole", [0.1, 0.3])
 def test_bounce_with_substeps_gains_negligible_energy(whole, precision, device):
-    """ω dt = ``whole``: to the square of it where the contact ends, to that of a part where it begins."""
+    """Energy error for ω dt = ``whole``: of its square at separation, of the square of the substep at the impact."""
     start = np.column_stack([np.zeros((64, 2)), np.linspace(0.02, 0.12, 64)])
     velocity = np.tile([0.0, 0.0, -10.0], (64, 1))
     for parts in (1, 4, 16):
@@ -57,14 +57,14 @@ def test_bounce_with_substeps_gains_negligible_energy(whole, precision, device):
         )  # fmt: skip
         sim.step(14 + round(4 / whole))
         gain = (sim.model.sensor("ball.linear_velocity")[:, 2] / 10.0) ** 2 - 1
-        # The force begins and ends up to a step h late: k (v h)²/8 of the energy m v²/2 at most.
+        # The force starts and ends up to a step h late. The error is at most k (v h)²/8 of the energy m v²/2.
         assert gain.min() > -0.25 * (whole / parts) ** 2 - 1e-6
         assert gain.max() < 0.25 * whole**2 + 1e-4
 
 
 @PRECISIONS
 def test_rotating_bounce_at_vertex_with_substeps_gains_negligible_energy(precision, device):
-    """Half a step of torque is taken back as well, about all axes."""
+    """The correction by half a step applies to torques as well, about all axes."""
     mass, inertia, corner = 2.0, np.diag([0.02, 0.05, 0.04]), np.array([0.2, 0.1, -0.1])
     scene = wc.Scene(gravity=(0, 0, 0))
     plate = scene.add_surface(difficult_meshes.plate(), name="plate")
@@ -74,7 +74,7 @@ def test_rotating_bounce_at_vertex_with_substeps_gains_negligible_energy(precisi
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=opposed * 30.0**2))
     scene.add_contact(scene.add_point(body, corner), plate, material, name="touch", swept=True)
     model = scene.build(envs=32, device=device, precision=precision)
-    # The corner arrives at 2 m/s, half of it from turning, at all times of the first step.
+    # The vertex arrives at 2 m/s, half of it from rotation, at times spread over the first step.
     model["body.position"] = np.linspace([0.0, 0.0, 0.103], [0.0, 0.0, 0.119], 32)
     model["body.linear_velocity"], model["body.angular_velocity"] = (0.0, 0.0, -1.0), (-2.0, 4.0, 0.0)
     sim = wc.Simulation(model, dt=1e-2, crossing_substeps=16)
@@ -84,8 +84,8 @@ def test_rotating_bounce_at_vertex_with_substeps_gains_negligible_energy(precisi
     while (model.sensor("touch.status") != wc.ContactStatus.OPEN).any():
         sim.step()
     gain = model.sensor("body.kinetic_energy") / before - 1
-    # The bounds of a straight bounce, and for the lever that turns meanwhile ω dt of 4.5 rad/s, squared, besides.
-    # Were the torque left out, 0.016 would be lost.
+    # The bounds of a bounce without rotation, plus the square of ω dt with 4.5 rad/s for the lever arm that
+    # rotates in contact. Without the torque correction, 0.016 of the energy would be lost.
     assert gain.min() > -0.25 * (0.3 / 16) ** 2 - (4.5 * 1e-2) ** 2 * 2
     assert gain.max() < 0.25 * 0.3**2
 
@@ -95,7 +95,7 @@ def test_rotating_bounce_at_vertex_with_substeps_gains_negligible_energy(precisi
 def test_substeps_do_not_affect_environments_without_crossing(parts, precision, device):
     start, velocity, _ = fan_of_shots(60, 1.0)
     slow = np.arange(60) % 3 == 0
-    velocity[slow] *= 1e-3  # these reach nothing
+    velocity[slow] *= 1e-3  # these do not reach the surface
     spin = np.random.default_rng(2).normal(size=(60, 3))
 
     def run(rows, count=12):
@@ -111,7 +111,7 @@ def test_substeps_do_not_affect_environments_without_crossing(parts, precision, 
     assert (together.model.sensor("touch.crossings")[~slow] > 0).all()
     for name in STATE:
         np.testing.assert_array_equal(together.model.sensor(name)[slow], alone.model.sensor(name))
-    # And one that crosses does not notice who crosses beside it, now or later.
+    # An environment that crosses is independent of others that cross at the same time or later.
     single = run(np.array([1]))
     for name in (*STATE, "touch.crossing_time"):
         np.testing.assert_array_equal(together.model.sensor(name)[[1]], single.model.sensor(name))
@@ -148,7 +148,7 @@ def test_frozen_environments_are_unchanged_by_substeps(precision, device):
     sim = shoot_balls(
         difficult_meshes.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=4
     )
-    # A body that turns non-finite while others cross.
+    # A body that becomes non-finite while others cross.
     sim.step(1)
     state = sim.state.body_linear_velocity.numpy().copy()
     state[3] = np.nan

@@ -1,4 +1,4 @@
-"""Environments are independent of each other, of their number, and restartable."""
+"""Environments are independent of each other and of their number, and can be reset."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ RECORD = ["ball.position", "ball.angular_velocity", "touch.gap", "touch.normal_f
 
 
 def terrain_model(envs, device, spread=None):
-    """Spheres that differ in every environment, on a small terrain."""
+    """Spheres with different parameters in each environment, on a small terrain."""
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (30, 30)), name="ground")
     ball = scene.add_body(0.5, (5e-4, 5e-4, 5e-4), position=(0.1, 0.2, 0.3), name="ball")
@@ -80,7 +80,7 @@ def test_diverged_environment_keeps_its_last_finite_state(device):
     assert np.isfinite(held).all()
     np.testing.assert_array_equal(held[-1], held[-2])
     np.testing.assert_array_equal(sim.state.body_position.numpy()[3, 0], held[-1].astype(np.float32))
-    # A reset revives it.
+    # A reset unfreezes the environment.
     model["touch.law.stiffness"] = 1e4
     sim.reset()
     assert model.health().good
@@ -157,7 +157,7 @@ def test_sensor_evaluation_does_not_change_the_motion(device):
 
 
 def test_broadcast_and_repeated_parameters_give_bitwise_identical_results(device):
-    """Stride 0 and a full array are two ways to say the same."""
+    """Stride 0 and a full array give the same result."""
     friction = wc.friction.Tanh(mu=0.4)
     one, other = (
         dropped_sphere(
@@ -206,10 +206,10 @@ def test_state_is_shared_with_numpy_and_torch_without_copy():
     assert view.shape == (8, 1, 3)
     for count in (1, 3, 4):
         sim.step(count)
-        # The sensor adds what rounding left of it.
+        # The sensor includes the rounding remainder of the position.
         np.testing.assert_array_equal(view, model.sensor("ball.position")[:, None].astype(np.float32))
     assert view.ctypes.data == sim.state.body_position.ptr
     through_dlpack = np.from_dlpack(sim.state.body_position)
     assert through_dlpack.ctypes.data == sim.state.body_position.ptr
-    # JAX takes none with gaps.
+    # JAX requires contiguous arrays.
     assert all(getattr(sim.state, one.name).is_contiguous for one in dataclasses.fields(sim.state))

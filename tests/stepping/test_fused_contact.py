@@ -1,4 +1,6 @@
-"""Who looks at a contact computes its force at once, where nobody watches; nothing else comes of it."""
+"""The fused contact kernel (narrow phase and force, without contact sensors) gives the results of separate
+kernels.
+"""
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ pytestmark = [pytest.mark.launch_shapes, pytest.mark.filterwarnings("ignore::war
 
 
 def balls(material=MATERIAL):
-    """Balls in a heap on hills, each with one contact; two lie beside the rim."""
+    """Several balls on hills, each with one contact; two are next to the boundary."""
 
     def make(scene):
         ground = scene.add_surface(HILLS, name="ground")
@@ -28,7 +30,7 @@ def balls(material=MATERIAL):
 
 
 def two_laws(scene):
-    """A box with two kinds of contacts."""
+    """A box with two contact sets of different materials."""
     SINGLE_BODY_SCENES["points in clusters"](scene)
     scene.add_contact(
         scene.add_points(scene.bodies[0], [(0.1, 0.1, -0.1), (-0.1, -0.1, -0.1)]),
@@ -43,7 +45,7 @@ MANY = {"balls": balls(), "balls that stick": balls(STUCK), "two laws": two_laws
 
 
 def taken(make, device, precision, *, at_once, asks):
-    """States, and what sensors tell meanwhile, of steps that look and compute forces at once or do not."""
+    """Returns states, and contact sensors between steps, of steps with or without the fused contact kernel."""
     scene = wc.Scene()
     make(scene)
     model = scene.build(envs=ENVS, precision=precision, device=device)
@@ -56,7 +58,7 @@ def taken(make, device, precision, *, at_once, asks):
     for _ in range(6):
         sim.step(97)
         if asks:
-            # What was told is taken for what is, of contacts that can not touch yet.
+            # Evaluated sensors become cached data, also for contacts that cannot touch yet.
             seen += [model.sensor(name) for name in names]
     assert any((model.sensor(name) > 0).any() for name in names if name.endswith("normal_force"))
     kernels = {launch.kernel.key.split("__")[-1] for launch in sim._prepared[1]._steppers[0]._steps[0].full}
@@ -105,7 +107,7 @@ def test_fused_contact_on_gpu_equals_staged_contact(name, few, asks, monkeypatch
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("at_once", [True, False])
 def test_culling_of_many_contacts_on_gpu_matches_few_contacts(at_once, precision, monkeypatch, device):
-    """The same as of few, which look each time; what was known is forgotten where radii grow."""
+    """Results equal those of few contacts, whose gap is evaluated in each step; larger radii clear the cache."""
     if device == "cpu":
         build_all_face_grids(monkeypatch)
         use_work_queues(monkeypatch)

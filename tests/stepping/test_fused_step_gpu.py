@@ -1,4 +1,4 @@
-"""Bodies alone in their environment take steps in one launch on a GPU; here a CPU does, by warps of one thread."""
+"""Fused step of single-body environments on a GPU, here run on a CPU with warps of one thread."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def box(count, material=MATERIAL, radius=0.01, **body):
 
 
 def weighed(scene):
-    """A box whose contacts have the part of the area that faces the ground."""
+    """A box whose contacts have area weights of the part that faces the ground."""
     ground = scene.add_surface(HILLS, name="ground")
     body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body")
     shell = scene.add_surface(wc.meshes.box((0.2, 0.2, 0.2)), body, name="shell")
@@ -49,7 +49,7 @@ def weighed(scene):
 
 
 def carries_the_surface(scene):
-    """A ball of triangles among points that are fixed to the world."""
+    """A ball with a triangle mesh among points that are fixed to the world."""
     body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.6), name="body")
     shell = scene.add_surface(wc.meshes.icosphere(0.3, 3), body, name="shell")
     line = np.linspace(-0.6, 0.6, 6)
@@ -94,7 +94,7 @@ def assert_same(left, right):
 
 @pytest.fixture
 def fused_launches(monkeypatch, device):
-    """Has a CPU take steps as a GPU does; holds the kernels of the steps that were prepared."""
+    """Makes a CPU step as a GPU does; collects the kernels of the prepared steps."""
     kernels = []
     prepare = SemiImplicitEuler.step_stages
 
@@ -112,7 +112,7 @@ def fused_launches(monkeypatch, device):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-# Those of other structure run in thorough checks, and all of them on a GPU.
+# Scenes of other structure run only with --thorough, and all of them on a GPU.
 @pytest.mark.parametrize(
     ("name", "precision"),
     slow_except(
@@ -125,7 +125,7 @@ def fused_launches(monkeypatch, device):
     ),
 )
 def test_fused_step_equals_staged_step(name, precision, device, fused_launches, monkeypatch):
-    # Of a GPU, warps of 22 environments, and one that has the last.
+    # As on a GPU: warps of 22 environments, and one warp with the remainder.
     monkeypatch.setattr(execution_plan, "FULL_WARPS", 2)
     model = built(SINGLE_BODY_SCENES[name], device, precision)
     sim = wc.Simulation(model, dt=1e-3)
@@ -151,7 +151,7 @@ def test_fused_step_equals_staged_step(name, precision, device, fused_launches, 
     slow_except(["a sphere", "points in clusters", "with history"], lambda name: name == "points in clusters"),
 )
 def test_fused_and_monitored_steps_can_alternate(name, few, device, fused_launches, monkeypatch):
-    """What each knows of distances and contacts is right for the other, and nothing old is watched."""
+    """Both variants maintain distances and contact history for each other; monitors see no outdated contacts."""
     if not few:
         monkeypatch.setattr(execution_plan, "SMALL_LAUNCH", 0)
     outcomes = {

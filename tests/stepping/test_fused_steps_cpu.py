@@ -1,4 +1,4 @@
-"""Bodies alone in their environment take many steps in one launch on a CPU; nothing else comes of it."""
+"""Multi-step launch of single-body environments on a CPU gives the results of stage-by-stage steps."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ KEYS = ("normal_force", "friction_force", "gap", "status")
 
 
 def contact_sensors(model):
-    """Returns sensors of contacts, and what is known of them from step to step."""
+    """Returns contact sensors and the contact history."""
     history = model.arrays.history
     return [
         *(model.sensor(f"touch.{key}") for key in KEYS),
@@ -54,7 +54,7 @@ def test_fused_steps_equal_staged_steps(name, precision, graphs, monkeypatch):
         staged.step(1)
     sim.step(1)
     touched = False
-    # In one launch each, captured or not.
+    # One launch for each count, with and without graph capture.
     for count in (1, 73, 8, 64, 3, 300, 130):
         sim.step(count)
         staged.step(count)
@@ -66,7 +66,7 @@ def test_fused_steps_equal_staged_steps(name, precision, graphs, monkeypatch):
     assert kernels_of(sim) == {"fused_steps"}
     assert "fused_steps" not in kernels_of(staged)
     stepper = stepper_of(sim)
-    # The same for any number.
+    # One graph serves any number of steps.
     assert {way for way, _ in stepper._graphs} == ({StepChunk(1)} if graphs else set())
     assert len(stepper._steps[0].full) == 1
 
@@ -81,7 +81,7 @@ def test_failed_environment_in_fused_steps_keeps_its_state_and_others_continue(m
             sim = wc.Simulation(model, dt=1e-3)
             sim.step(100)
             force = model["body.external_force"]
-            # Beyond what a number holds, at once and after some steps.
+            # Overflow of float32, immediately and after some steps.
             force[3], force[5] = 1e38, 1e35
             model["body.external_force"] = force
             sim.step(200)
@@ -106,11 +106,11 @@ def test_frames_of_fused_steps_have_every_recorded_step(every, monkeypatch):
 
     stepper, own = recorded()
     assert names_of(stepper._steps[0].full) == ["fused_steps"]
-    # The step after a frame knows what is near.
+    # The step after a frame uses the contact candidates of its evaluation.
     after_look = names_of(stepper._step_after_evaluation)
     assert "fused_steps" not in after_look
     assert after_look[-1] == "copy_state"
-    # The others, if there are any, are one launch. Of 70 steps a frame is handed on before the next begins.
+    # All other steps are one launch. With 70 steps per frame, the frame is delivered before the next step begins.
     known = {way for way, _ in stepper._graphs if way.after_evaluation}
     assert (StepChunk(min(every, 2), after_evaluation=True, evaluates=True) in known) == (every < 70)
     assert all(names_of(stepper.graph(way)).count("fused_steps") == (way.steps > 1) for way in known)

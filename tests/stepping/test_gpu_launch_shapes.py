@@ -1,9 +1,8 @@
 """Launch shapes of a CUDA device give bitwise the results of one kernel per stage on the same device.
 
 The staged step queries the closest point of every contact and launches one kernel per stage. Each case runs once
-with the staged step and once with the launch shape that ``ExecutionPlan`` selects, and checks the names of their
-kernels.
-``.ci/gpu`` runs these tests, with ``--device cuda:0 --kernels=release``.
+with the staged step and once with the launch shape that ``execution_plan.ExecutionPlan`` selects, and checks the
+names of their kernels. ``.ci/gpu`` runs these tests, with ``--device cuda:0 --kernels=release``.
 """
 
 import importlib.util
@@ -41,7 +40,7 @@ SENSORS = (
 )  # fmt: skip
 PARTICLE_SENSORS = ("contacts", "coordination", "normal_force", "max_penetration", "force")
 
-#: Kernels of the launch shapes that are selected for many threads only.
+# Kernels of the launch shapes that are selected for many threads only.
 GPU_KERNELS = frozenset(
     {
         "fused_step", "fused_in_grid", "fused_remaining", "detect_in_grid", "detect_remaining", "enqueue_contacts",
@@ -211,8 +210,8 @@ class Case:
     Attributes:
         make: Returns the simulation for a device and options of ``Simulation``.
         kernels: Kernels of the step among ``GPU_KERNELS``.
-        few: Value of ``schedule.SMALL_LAUNCH``; with 0 every number of contacts counts as many. Default: the constant.
-        warps: Value of ``schedule.FULL_WARPS``. Default: the constant.
+        few: Value of ``execution_plan.SMALL_LAUNCH``; with 0 every number of contacts counts as many. Default: the constant.
+        warps: Value of ``execution_plan.FULL_WARPS``. Default: the constant.
         queues: Number of launches that process a work queue.
         accepts: Whether the integration kernel also accepts the step.
         threads: Threads of the first launch. Default: not checked.

@@ -1,4 +1,4 @@
-"""While steps are captured in one thread, what others do with Warp waits; and the other way round."""
+"""While one thread captures steps, Warp calls of other threads wait, and vice versa."""
 
 import threading
 
@@ -8,7 +8,7 @@ from scenes import dropped_sphere
 import warpcontact as wc
 from warpcontact.system.capture_lock import exclusive_capture_lock, shared_capture_lock
 
-# Long enough for anything here that does not wait [s].
+# Longer than any call here that does not wait [s].
 LONG = 0.5
 
 
@@ -21,7 +21,7 @@ def sim():
 
 
 def aside(work):
-    """Starts ``work`` in a thread of its own."""
+    """Starts ``work`` in a separate thread."""
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
     return thread

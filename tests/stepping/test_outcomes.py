@@ -1,4 +1,4 @@
-"""Outcomes are what one would get from a recording of every step, and what closed forms say."""
+"""Outcomes equal those computed from a recording of every step, and closed forms."""
 
 from typing import Any
 
@@ -13,12 +13,12 @@ STIFFNESS, MASS = 1.0e4, 1.0
 SPEEDS = np.array([1.0, 2.0, 3.0])
 DT = 1.0e-5
 OMEGA = np.sqrt(STIFFNESS / MASS)
-# Steps until the slowest has come and gone, from 10 mm above.
+# Number of steps until the slowest sphere has bounced, from a height of 10 mm.
 STEPS = 4500
 
 
 class Power(wc.Outcome):
-    """Mean of the third powers over time."""
+    """Mean of the cube over time."""
 
     memory = (0.0, 0.0)
 
@@ -59,8 +59,8 @@ def test_outcomes_of_elastic_bounce_match_half_sine(device):
     sim = wc.Simulation(model, DT, outcomes=ELASTIC)
     sim.step(STEPS)
     found = sim.outcomes()
-    # In ω dt = 1e-3 the scheme is of second order for the motion: an error of 1e-6 in force and impulse. Where the
-    # contact begins within a step is known to one: v dt of depth, 1e-3 of a half sine's end, squared.
+    # With ω dt = 1e-3, the scheme is of second order for the motion: relative error 1e-6 in force and impulse. The
+    # start of contact is resolved to one step, v dt of penetration: the square of 1e-3 at the end of a half sine.
     np.testing.assert_allclose(found["peak"], SPEEDS * MASS * OMEGA, rtol=1e-5)
     np.testing.assert_allclose(found["deepest"], SPEEDS / OMEGA, rtol=1e-5)
     np.testing.assert_allclose(found["impulse"], 2.0 * MASS * SPEEDS, rtol=1e-5)
@@ -87,19 +87,19 @@ def test_restitution_and_work_outcomes_match_damped_law(restitution):
     sim.step(STEPS)
     found = sim.outcomes()
     out = sim.model.sensor("ball.linear_velocity")[:, 2]
-    # The force of the law is cut at zero before δ is, so the last state in contact has the speed of the end.
+    # The law cuts the force at zero before δ is zero, so the last state in contact has the speed of separation.
     np.testing.assert_allclose(found["restitution"], out / SPEEDS, rtol=1e-3)
     lost = 0.5 * MASS * (SPEEDS**2 - out**2)
-    # First and last step of the contact, where the force of the dashpot jumps, v dt of 1/ω v: 2 ω dt.
+    # In the first and last step of contact the dashpot force jumps, over v dt relative to v/ω: 2 ω dt.
     np.testing.assert_allclose(found["work"], lost, rtol=4.0 * OMEGA * DT)
 
 
 def test_restitution_outcome_is_nan_for_contact_without_approach():
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS), 3)
     start = model["ball.position"].copy()
-    start[:, 2] -= 0.01 + 1e-3  # a millimetre deep
+    start[:, 2] -= 0.01 + 1e-3  # 1 mm penetration
     model["ball.position"] = start
-    # At rest, going out, going in.
+    # At rest, separating, approaching.
     model["ball.linear_velocity"] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], [0.0, 0.0, -0.1]]
     sim = wc.Simulation(model, DT, outcomes={key: ELASTIC[key] for key in ("restitution", "deepest")})
     sim.step(STEPS)
@@ -107,7 +107,7 @@ def test_restitution_outcome_is_nan_for_contact_without_approach():
     assert (sim.outcomes()["deepest"] > 0.9e-3).all()
     found = sim.outcomes()["restitution"].values
     assert np.isnan(found[:2]).all()
-    assert found[2] > 1.0  # it began compressed
+    assert found[2] > 1.0  # it started with elastic energy
 
 
 def recorded(quantities, envs=3, steps=400, dt=2.0e-4, **options):
@@ -117,7 +117,7 @@ def recorded(quantities, envs=3, steps=400, dt=2.0e-4, **options):
     return model, wc.Simulation(model, dt, **options).run(steps * dt, record=quantities, every=dt)
 
 
-# Not of the dashpot of a law that knows the step: a sensor is of an instant.
+# Without the dashpot of a law that uses the step length, because a sensor is instantaneous.
 REDUCED = {
     "Max": lambda x, t, dt: x.max(axis=0),
     "Min": lambda x, t, dt: x.min(axis=0),
@@ -145,7 +145,7 @@ def test_every_outcome_matches_recording_of_every_step():
     outcomes["fall"] = wc.outcomes.FirstTime("ball.linear_velocity", component="z", above=0.5)
     outcomes["own"] = Power("touch.gap")
     model, again = recorded(names, outcomes=outcomes)
-    # To be watched changes no state.
+    # Monitors do not change the state.
     for name in names:
         np.testing.assert_array_equal(again[name], recording[name], err_msg=name)
     sim = wc.Simulation(model, 2.0e-4, outcomes=outcomes)
@@ -157,7 +157,7 @@ def test_every_outcome_matches_recording_of_every_step():
     for kind, reduced in REDUCED.items():
         for i, name in enumerate(names):
             expected = reduced(recording[name].to_numpy().astype(float), time, dt)
-            # Sums in another order.
+            # The order of summation differs.
             np.testing.assert_allclose(
                 found[f"{kind}_{i}"], expected, rtol=1e-12, atol=1e-12, err_msg=f"{kind} {name}"
             )
@@ -193,7 +193,7 @@ def bits(envs=5, steps=600, first=0, count=None, device="cpu", **options):
     speeds = np.linspace(0.5, 3.0, envs)[first : first + count]
     model["ball.linear_velocity"] = np.stack([0 * speeds, 0 * speeds, -speeds], axis=1)
     sim = wc.Simulation(model, 1.0e-4, **WATCH, **options)
-    # In two pieces, odd ones.
+    # In two parts of different length.
     sim.step(steps // 3 + 1)
     sim.step(steps - steps // 3 - 1)
     both = {f"outcome {name}": values.to_numpy() for name, values in sim.outcomes().items()}
@@ -268,13 +268,13 @@ def test_outcomes_of_sets_are_per_item_or_reduced():
     assert found["each"].dims == ("env", "item")
     assert found["normal"].dims == ("env", "item", "axis")
     np.testing.assert_allclose(found["each"].sum("item"), found["sum"], rtol=1e-12)
-    # All four carry alike.
+    # All four points carry equal loads.
     np.testing.assert_allclose(found["sum"], 4.0 * found["max"], rtol=1e-4)
     assert (found["min"] <= found["max"]).all()
 
 
 def test_max_gap_outcome_disables_the_distance_cache():
-    # Far contacts are not looked at in every step, but for an outcome that asks for their gap.
+    # Distant contacts are evaluated only if an outcome needs their gap.
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
     sim = wc.Simulation(model, 1e-4, outcomes={"far": wc.outcomes.Max("touch.gap")})
     assert not sim.distance_cache
@@ -308,7 +308,7 @@ def test_nonsmooth_contacts_have_impulse_and_force_outcomes_in_every_step():
     force = recording["touch.normal_force"].to_numpy()
     np.testing.assert_array_equal(found["blow"], impulse.max(axis=0))
     np.testing.assert_array_equal(found["peak"], force.max(axis=0))
-    # The force of a state is the mean over the step before, which is summed up with the step after.
+    # The force of a state is the mean over the previous step; the next step adds it to the sum.
     np.testing.assert_allclose(found["total"], (force[:-1] * dt).sum(axis=0), rtol=1e-12)
     np.testing.assert_allclose(found["total"], found["moved"] + 2.0 * 9.81 * steps * dt, rtol=1e-9)
     np.testing.assert_array_equal(found["loss"], model.sensor("scene.impact_dissipation"))
@@ -349,13 +349,14 @@ def test_memory_estimate_includes_outcomes_and_events():
     )
     before, after = plain.memory(), watched.memory()
     assert "outcomes" not in {need.purpose for need in before.items}
-    # Of each result its numbers, two at least, in float64; of events a time and a code each, and a little more.
+    # Each outcome stores its values, two at least, in float64. Each event stores a time and a code. There is a
+    # small remainder.
     results = dict.fromkeys(ELASTIC, 1) | {"end": 3}
     numbers = sum(results[name] * max(2, len(one.memory)) for name, one in ELASTIC.items())
     least = 64 * (8 * numbers + 10 * 12)
     counted = sum(need.size for need in after.items if need.purpose == "outcomes")
     assert least <= counted <= least + 64 * 16
-    # As much as is there: the same layouts make it.
+    # The estimate equals the allocation, because both use the same allocation plans.
     kept = watched.model.parts[0].monitor.outcome_states
     assert sum(one.memory.capacity for one in kept) == 64 * 8 * numbers
 

@@ -1,4 +1,4 @@
-"""What fails is held at its last good state with the cause and the time; nothing else notices."""
+"""A failed environment keeps its last valid state, with cause and time; others are unaffected."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,8 @@ def test_limits_freeze_an_environment_at_the_last_state_within_them(integrator, 
     health = model.health()
     assert health.frozen.tolist() == [1, 2]
     assert health.causes == (wc.FailureCause.TOO_FAST, wc.FailureCause.TOO_FAR)
-    # The ball starts 100.1 m away, too far from the first step on; 5 m/s are reached after half a second.
+    # The ball starts 100.1 m away, beyond the limit from the first step. The speed limit of 5 m/s is reached after
+    # 0.5 s.
     np.testing.assert_allclose(health.times, [0.5, 0.0], atol=1.5 * DT)
     speed = -model.sensor("ball.linear_velocity")[:, 2]
     assert 5.0 - 2 * 10.0 * DT <= speed[1] <= 5.0
@@ -71,7 +72,7 @@ def test_limits_are_ordinary_parameters():
         model["scene.max_speed"] = [1.0, -1.0]
     with pytest.raises(ValueError, match="max_speed must be greater than 0, got 0 m/s"):
         wc.Scene(max_speed=0.0)
-    # A square that float32 has no number for limits nothing, and is no error.
+    # A limit whose square overflows float32 has no effect and raises no error.
     model["scene.max_speed"] = 1e30
     wc.Simulation(model, DT).step()
     assert model.health().good
@@ -96,13 +97,13 @@ def test_non_finite_environment_leaves_a_thousand_others_unchanged():
     assert health.causes == (wc.FailureCause.NON_FINITE,)
     np.testing.assert_allclose(health.times, 20 * DT)
     found = sim.outcomes()
-    # What was found before stays; that of the failed state is left out.
+    # The outcome keeps earlier values and excludes the failed state.
     assert np.isfinite(found["low"]).all()
     assert found["low"][500] > found["low"][499]
 
 
 def spinning_up(envs, first=0, **options):
-    """Environments that get too fast one after the other, from one of ``envs`` on."""
+    """Environments from ``first`` to ``envs`` exceed the speed limit one after the other."""
     speeds = np.linspace(1.0, 3.0, 5)[first : first + envs]
     model = falling(envs)
     model["scene.max_speed"] = speeds
@@ -117,7 +118,7 @@ def test_reset_environment_restarts_and_is_counted():
     steps = 10 * CADENCE
     sim.step(steps)
     found = sim.outcomes()
-    # Each fails after v/g, at the next look is put back, and so on.
+    # Each environment fails after v/g, is reset at the next check, and so on.
     expected = []
     for speed in np.linspace(1.0, 3.0, 5):
         fails = int(np.floor(speed / 10.0 / DT + 1e-6)) + 1
@@ -125,10 +126,10 @@ def test_reset_environment_restarts_and_is_counted():
     np.testing.assert_array_equal(found["resets"], expected)
     assert (found["resets"] > 0).all()
     assert (found["end_time"] < steps * DT).all()
-    # Outcomes are of the time since.
+    # Outcomes cover the time since the reset.
     fallen = found["low"].to_numpy() - 100.1
     np.testing.assert_allclose(fallen, -0.5 * 10.0 * found["end_time"] ** 2, atol=0.03)
-    # Those that a user resets start at none.
+    # Environments that the user resets start with zero resets.
     sim.reset(np.array([True, False, False, False, False]))
     assert sim.outcomes()["resets"].to_numpy().tolist() == [0, *expected[1:]]
 
@@ -164,7 +165,7 @@ def test_quarantine_error_names_first_environment_with_time_and_cause():
     ) as caught:
         sim.step(1000)
     assert (caught.value.env, caught.value.cause, caught.value.count) == (102, wc.FailureCause.TOO_FAST, 2)
-    # It looks every so many steps; the others have come no farther.
+    # The status is checked every ``CADENCE`` steps, and all environments stop at that step.
     assert sim.steps == CADENCE * -(-201 // CADENCE)
 
 
@@ -175,7 +176,7 @@ def test_unknown_quarantine_policy_is_refused():
 
 @pytest.mark.parametrize("look", [False, True], ids=["step", "evaluation_first"])
 def test_reset_environment_has_no_wrenches_of_its_failure(look, device):
-    """Steps of Moreau and Jean tell driven bodies where to go before they compute what acts on them."""
+    """Moreau–Jean steps prescribe the motion of driven bodies before they compute wrenches."""
     scene = wc.Scene()
     motion = wc.motions.Harmonic(direction=(1.0, 0.0, 0.0), amplitude=0.02, frequency=1.0)
     plate = scene.add_body(1.0, (1.0, 1.0, 1.0), motion=motion)
@@ -185,7 +186,7 @@ def test_reset_environment_has_no_wrenches_of_its_failure(look, device):
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), floor, material, radius=0.1, name="touch")
     model = scene.build(envs=2, device=device)
     sim = wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean(compliant=("touch",)))
-    # So much that its force is beyond single precision.
+    # A damping force that overflows float32.
     model["touch.law.damping"] = [20.0, 3e38]
     model["ball.linear_velocity"] = (0.0, 0.0, -5.0)
     sim.step(3)

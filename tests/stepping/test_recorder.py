@@ -35,7 +35,7 @@ def read_by_stopping(device, frames, stride):
 
 @pytest.fixture
 def in_slices(monkeypatch):
-    """Lets several threads share a few environments."""
+    """Makes several threads share a few environments."""
     monkeypatch.setattr(requirements, "MAX_SLICE", 2)
     monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
 
@@ -63,7 +63,7 @@ def test_recording_is_a_labeled_data_set(device):
 
 
 def test_sensors_of_a_frame_belong_to_one_state(device):
-    """Gap and position of one frame are of one instant, not a step apart."""
+    """Gap and position of a frame belong to the same time, not one step apart."""
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), velocity=(0, 0, -1.0), height=0.02, device=device)
     recording = wc.Simulation(model, dt=1e-3).run(0.04, ["ball.position", "touch.gap", "touch.normal_force"])
     height = recording["ball.position"].sel(axis="z").values[:, 0]
@@ -109,7 +109,7 @@ def test_sensors_of_sets_have_an_item_axis(device):
     assert recording["hull.gap"].dims == ("time", "env", "item")
     assert recording["hull.normal"].dims == ("time", "env", "item", "axis")
     np.testing.assert_allclose(recording["hull.gap"].values[0, 0], [1, 1, 2], atol=1e-6)
-    # Two sets of different size keep apart.
+    # Two sets of different size have separate dimensions.
     scene.add_contact(scene.add_points(body, np.ones((2, 3))), ground, material, name="pair")
     recording = wc.Simulation(scene.build(device=device), dt=1e-3).run(2e-3, ["hull.gap", "pair.gap"])
     assert recording["hull.gap"].dims == ("time", "env", "hull.item")
@@ -155,7 +155,7 @@ def test_recording_equals_sensors_between_steps(stride, device, in_slices):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_sensors_of_every_kind_are_recorded(precision, device, in_slices):
-    """One recording after the other, each into memory of its own."""
+    """Consecutive recordings use separate memory."""
     scene = wc.Scene()
     ground = scene.add_surface(square())
     friction = wc.friction.LuGre(mu_static=0.6, mu_dynamic=0.5, stribeck_speed=0.01, stiffness=1e3)
@@ -185,13 +185,13 @@ def test_sensors_of_every_kind_are_recorded(precision, device, in_slices):
 
 @pytest.mark.parametrize("blocks", [1, 2, 3])
 def test_blocks_contain_successive_pieces_of_a_recording(blocks, device, in_slices):
-    """A block stays as it is until as many were begun after it as there are."""
+    """A block is unchanged until as many further blocks as exist were started."""
     sim = falling(device)
     recorder = Recorder(sim.model, WATCHED, 3, poses=False, blocks=blocks)
     recorder.start()
     shown, kept, done, written = [], [], [], 0
     for steps in sim.advance(recorder, 110, 7, start=0.0):
-        # All frames that are due are there, and no more than a block holds.
+        # All frames that are due are written, in blocks of the given size.
         assert written + recorder.taken == steps // 7 + 1
         assert sim.steps == steps
         done.append(steps)
@@ -214,7 +214,9 @@ def test_blocks_contain_successive_pieces_of_a_recording(blocks, device, in_slic
     ids=["graphs", "launches", "all_environments"],
 )
 def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
-    """However many of them are taken in one go, after others, by a crew that has not found its pace yet."""
+    """For many frames per call, after an earlier recording, with a worker pool that has not yet measured its
+    speed.
+    """
     sim = wc.Simulation(falling(device).model, dt=1e-3, threads=2, **options)
     recorder = Recorder(sim.model, WATCHED, 60, poses=False)
     recorder.start()
@@ -229,7 +231,7 @@ def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
 
 @pytest.mark.parametrize("sensors", [[], ["touch.normal_force"], WATCHED], ids=["poses", "forces", "all_sensors"])
 def test_frames_of_split_chunks_equal_sensors_between_steps(sensors, device, in_slices, monkeypatch):
-    """Few slices take turns of some frames, and know at the begin of each what the last frame told."""
+    """With few slices a work item has few frames, and starts from the contact candidates of the last frame."""
     taken = []
     step = worker_pool._run_item
 
@@ -247,7 +249,7 @@ def test_frames_of_split_chunks_equal_sensors_between_steps(sensors, device, in_
     taken.clear()
     record_frames(sim, recorder, 54, 3, 0.0, 9, follows_frame=True)
     if sim.model.device.is_cpu:
-        # 162 steps of three slices, each time half of what is left, in whole frames.
+        # 162 steps of three slices: each item takes half of the remaining steps, in whole frames.
         assert sorted((turn.frame, len(turn.chunks)) for turn in taken) == [
             turn for turn in ((4, 30), (34, 14), (48, 8), (56, 2)) for _ in range(3)
         ]
@@ -258,7 +260,7 @@ def test_frames_of_split_chunks_equal_sensors_between_steps(sensors, device, in_
 
 
 def test_scene_totals_are_summed_in_item_order(device):
-    """Of so many that NumPy would add them up in another order, and never −0."""
+    """For so many items that NumPy would sum in another order; the result is never −0."""
     scene = wc.Scene(gravity=(0, 0, 0))
     position = 10.0 * np.random.default_rng(4).normal(size=(40, 3))
     scene.add_bodies(position, 1.0, (1.0, 1.0, 1.0), name="stones")
@@ -322,7 +324,7 @@ def test_time_continues_in_a_second_run(device):
     sim.run(0.01)
     second = sim.run(0.01, every=5e-3)
     np.testing.assert_allclose(second.time, [0.01, 0.015, 0.02])
-    # A duration between two steps is rounded up; frames stay on multiples of the interval.
+    # A duration between two steps is rounded up; frames stay at multiples of the interval.
     third = sim.run(0.0125, every=5e-3)
     np.testing.assert_allclose(third.time, [0.02, 0.025, 0.03])
     assert sim.steps == 33

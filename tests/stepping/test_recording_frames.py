@@ -1,4 +1,4 @@
-"""Frames: what is looked at while steps go on is what one would see by stopping there, and changes nothing."""
+"""Frames recorded during steps equal sensors evaluated between steps, and do not change the steps."""
 
 import threading
 
@@ -37,7 +37,7 @@ def simulation(name, device, precision="float32", **options):
 
 
 def evaluate_uncached(model):
-    """Computes contacts as if nothing were remembered; it is afterwards."""
+    """Evaluates contacts with the cache cleared; restores the cache afterwards."""
     cache = model.arrays.cache
     kept = [(known, wp.clone(known)) for known in (cache.face_count, cache.nearest)]
     cache.face_count.zero_()
@@ -71,7 +71,7 @@ def test_cached_data_does_not_change_sensors(name, precision, device):
 
 @pytest.mark.parametrize("name", ["box of points on terrain", "latched on a ball", "with history", "two bodies"])
 def test_contact_force_evaluation_equals_full_evaluation(name, device):
-    """Where contacts are left out as well: after steps, resets, and moves by hand without a step."""
+    """Also if contacts are culled: after steps, resets, and poses that the user sets without a step."""
     sim = simulation(name, device)
     model = sim.model
     names = names_of(model, NEUTRAL)
@@ -90,7 +90,7 @@ def test_contact_force_evaluation_equals_full_evaluation(name, device):
     assert touched
     deep = model.state.body_position.numpy()
     model.state.body_position.assign(deep - np.array([0.0, 0.0, 0.02], deep.dtype))
-    check()  # of contacts that history does not know
+    check()  # of contacts that are not in the history
     model.state.body_position.assign(deep + np.array([0.0, 0.0, 5.0], deep.dtype))
     sim.step(2)
     check()
@@ -136,7 +136,7 @@ def test_recorded_frames_equal_sensors_at_the_same_steps(keys, name, threads, si
     sim.step_with_callback(10, 7, needs, take)
     for k, key in enumerate(names):
         np.testing.assert_array_equal(results[k], np.stack([of[k] for of in expected]), err_msg=key)
-    # And nothing was changed by looking.
+    # The evaluations did not change the steps.
     plain.step(210)
     for body in model.scene.bodies:
         for key in STATE:
@@ -148,7 +148,7 @@ def test_recorded_frames_equal_sensors_at_the_same_steps(keys, name, threads, si
 @pytest.mark.parametrize("every", [1, pytest.param(2, marks=pytest.mark.slow), 5])
 @pytest.mark.parametrize("name", SCENES)
 def test_steps_are_unchanged_by_recorded_frames(name, every, device):
-    """What a frame tells of contacts the next step does not look for again."""
+    """The next step reuses the contact candidates that a frame evaluates."""
     plain, sim = simulation(name, device), simulation(name, device)
     model = sim.model
     needs = {need for key in names_of(model, NEUTRAL) for need in model.find_sensor(key).needs}
@@ -162,7 +162,7 @@ def test_steps_are_unchanged_by_recorded_frames(name, every, device):
 
 @pytest.fixture
 def release_graphs(monkeypatch):
-    """Captures as many steps as release kernels do."""
+    """Captures graphs of as many steps as release kernels do."""
     monkeypatch.setattr(slice_stepper, "CPU_GRAPH_STEPS", (8, 2, 1))
 
 
@@ -175,7 +175,7 @@ def test_steps_after_frames_are_captured_as_graphs(device):
         _, made = sim._prepared
         return {way for stepper in made._steppers for way, _ in stepper._graphs}
 
-    # On a GPU a frame is looked at when it is there, and eight steps are four times two.
+    # On a GPU a frame is evaluated when it is complete, and eight steps are four replays of two.
     on_cpu = sim.model.device.is_cpu
     first = {StepChunk(8), StepChunk(0, evaluates=True)} if on_cpu else {StepChunk(2)}
     sim.step_with_callback(1, 8, needs, lambda part, own, number: None)
@@ -185,7 +185,7 @@ def test_steps_after_frames_are_captured_as_graphs(device):
         {StepChunk(4, after_evaluation=True, evaluates=True)} if on_cpu else set()
     )
     sim.step_with_callback(2, 20, needs, lambda part, own, number: None)
-    # So many steps have no graph of their own: the first of them are as many as leave eight and eight.
+    # No graph has this number of steps: the first graph takes the remainder, and the others eight each.
     known = (
         {StepChunk(4, after_evaluation=True, evaluates=True), StepChunk(4, after_evaluation=True)}
         if on_cpu
@@ -195,7 +195,7 @@ def test_steps_after_frames_are_captured_as_graphs(device):
 
 
 def test_successive_recordings_have_their_own_frames(device):
-    """Looks of a recording are part of the graphs that follow them, and those of another are not replayed."""
+    """Graphs include the evaluations of their recording; those of another recording are not replayed."""
     sim, plain = (simulation("two bodies", device) for _ in range(2))
     names = ["lower.normal_force", "scene.kinetic_energy", "scene.linear_momentum"]
     made = []
@@ -227,7 +227,7 @@ def test_evaluation_needs_cover_all_sensors(device):
 
 @pytest.mark.parametrize("name", ["two bodies", "hard", "heap"])
 def test_contact_evaluation_does_not_accumulate_wrenches(name, device):
-    """Where a sensor of them is left out, they are left alone or computed anew: never added to again."""
+    """If a frame excludes their sensor, wrenches are unchanged or recomputed, never accumulated."""
     model = (heap if name == "heap" else SCENES["two bodies"])().build(envs=ENVS, device=device)
     if name != "heap":
         start(model)
@@ -280,19 +280,19 @@ def test_recorders_with_equal_needs_share_one_capture(device):
             pass
         replayed.append(_graphs_of(sim))
     assert replayed[1] == replayed[2]
-    # And those without frames stay.
+    # Graphs without frames are unchanged.
     assert replayed[0].items() <= replayed[1].items()
     if sim.model.device.is_cpu:
         frame, eight = StepChunk(10, after_evaluation=True, evaluates=True), StepChunk(8)
         assert {(frame, frozenset(recorder.needs)), (eight, frozenset())} <= replayed[1].keys()
         stepper = sim._prepared[1]._steppers[0]
-        # The first of ten steps does not look for what is near again.
+        # The first of ten steps skips the broad phase.
         for way, looks in ((frame, 9), (eight, 8)):
             kernels = [launch.kernel.key for launch in stepper.graph(way)]
             looking, launches = (
                 ("update_sets", len(sim.model.groups)) if execution_plan.FUSE_STAGES else ("closest_point", 1)
             )
-            # With staged kernels the evaluation of the frame has the kernel of a step.
+            # With staged kernels, the evaluation of the frame uses the same kernel as a step.
             evaluations = 0 if execution_plan.FUSE_STAGES else int(way.evaluates)
             assert sum(looking in name for name in kernels) == looks * launches + evaluations
 
@@ -304,7 +304,7 @@ def test_evaluation_launches_wait_for_capture_in_another_thread(device):
     needs = frozenset(("contacts",))
     works = [lambda: sim.model.parts[0].evaluation_launches(needs)]
     if sim.model.device.is_cpu:
-        # On a GPU no step knows from a look what is near.
+        # On a GPU no step reuses contact candidates of an evaluation.
         works.append(lambda: stepper.prepare_step_after_evaluation(needs))
     for prepare in works:
         ended = threading.Event()
@@ -317,7 +317,7 @@ def test_evaluation_launches_wait_for_capture_in_another_thread(device):
 
 
 def test_frames_of_nonsmooth_contact_contain_all_environments(device):
-    """Nonsmooth contacts show their last step in one launch: such frames wait for all slices."""
+    """Nonsmooth contacts are evaluated after their step in one launch, so such frames wait for all slices."""
     scene = SCENES["two bodies"]()
     model = scene.build(envs=ENVS, device=device)
     start(model)
@@ -363,7 +363,7 @@ def test_contact_force_is_zero_after_lost_contact_without_history(device):
     start = model.state.body_position.numpy().copy()
     model.state.body_position.assign(start - np.array([0.0, 0.0, 0.11], dtype=np.float32))
     sim.step()
-    # As near to where it was seen before as not to move at all.
+    # The displacement since the last evaluation is zero to rounding.
     model.state.body_position.assign(start)
     model.state.body_linear_velocity.zero_()
     np.testing.assert_array_equal(model.sensor("touch.normal_force"), 0.0)

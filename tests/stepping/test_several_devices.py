@@ -1,6 +1,6 @@
-"""A model split over several devices is, in every result, the model that is not.
+"""A model split over several devices gives the results of the same model on one device.
 
-It is split over one device several times, and with ``--device cuda:0`` on a machine of several GPUs over them all.
+The same device is used several times, or all GPUs of the machine with ``--device cuda:0``.
 """
 
 import json
@@ -14,7 +14,7 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.stepping import worker_pool
 
-# What is where
+# Distribution of environments
 
 
 def test_environments_are_split_evenly_and_contiguously(device):
@@ -54,7 +54,7 @@ def test_parts_share_their_state_without_copy(devices, device):
     moved = last.state.body_position.numpy().copy()
     moved[-1, 1] = (0, 0, 9)
     last.state.body_position.assign(moved)
-    # What rounding left of the last position is still added.
+    # The sensor adds the rounding remainder of the last position.
     np.testing.assert_allclose(model.sensor("ball.position")[-1], (0, 0, 9), atol=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""Parameters, resets and failures of a split model are those of the model that is not."""
+"""Parameters, resets and failures of a model split over devices equal those on one device."""
 
 import signal
 import threading
@@ -25,7 +25,7 @@ def test_parameters_on_several_devices_equal_one_device(devices, device):
         assert one.find_parameter(name).limits == other.find_parameter(name).limits
         values = one[name]
         if name.endswith((".mass", ".stiffness", ".radius", "position", "velocity")):
-            # In turn one value for all and one for each environment.
+            # Alternately one value for all environments and one for each.
             values = values + rng.uniform(0.001, 0.002, values.shape)
             values = values[0] if number % 2 and values.ndim == 1 else values
         one[name] = values
@@ -38,7 +38,7 @@ def test_parameters_on_several_devices_equal_one_device(devices, device):
 
 
 def test_ambiguous_shape_is_resolved_by_total_number_of_environments(device):
-    """One row for each environment, or one for each point of a set, of as many as a part has environments."""
+    """One row per environment, or one per point of a set that has as many points as a part has environments."""
     points = 8
     one, other = (scene().build(2 * points, where) for where in (device, [device, device]))
     assert [part.envs for part in other.parts] == [points, points]
@@ -135,7 +135,8 @@ def test_masked_resets_reach_the_right_environments_on_several_devices(devices, 
             sim.reset(mask)
         assert_same_state(one, other)
         assert one.time == other.time > 0
-    # However they add up, these were no complete resets: the present state does not follow the initial one.
+    # These resets are partial even if together they cover all environments. So the present state does not follow
+    # the initial state.
     for model in (one, other):
         model["box.position"] = (0, 0, 1.0)
     assert_same_state(one, other)

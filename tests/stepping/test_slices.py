@@ -1,4 +1,4 @@
-"""How many environments a slice has: what fits into the cache of a core, of large meshes with the faces read."""
+"""Slice size: a slice fits into the cache of a core, including the faces that it reads of large meshes."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import warpcontact as wc
 from warpcontact.geometry import query_mesh
 from warpcontact.stepping.requirements import MAX_SLICE, MIN_SLICE_FOR_FACES, cut_slices, slice_sizes
 
-# Square metres of a face of a square of 4 m.
+# Area of a face of a square of 4 m [m²].
 CELLS = 40
 FACE = 16.0 / (2 * CELLS**2)
 
@@ -43,7 +43,7 @@ def read(*arguments, **options):
 def test_faces_read_by_a_sphere_are_counted_within_its_reach():
     assert read(radius=0.5) == round(np.pi * 0.5**2 / FACE)
     assert read(radius=0.5, bodies=3) == pytest.approx(3 * read(radius=0.5), abs=2)
-    # A point reads a face at least, and nobody reads more than there are.
+    # A point reads at least one face, and at most all faces are read.
     assert read(radius=0.0) == 1
     assert read(radius=1e160) == 2 * CELLS**2
 
@@ -70,7 +70,7 @@ def test_slices_are_smaller_if_many_faces_are_read():
     (size,) = slice_sizes([(many, envs)], 2)
     assert MIN_SLICE_FOR_FACES <= size < MAX_SLICE
     assert slice_sizes([(model_of(square(200), radius=2.0), envs)], 2) == [MIN_SLICE_FOR_FACES]
-    # So many slices that no thread is without.
+    # As many slices as threads at least.
     assert slice_sizes([(many, 8)], 4) == [2]
 
 

@@ -1,4 +1,4 @@
-"""Rules that later parts lean on: history once per step, frozen means untouched, every index finds its own."""
+"""Invariants of a step: history advances once per step, frozen environments are unchanged, indices are correct."""
 
 import custom_law
 import numpy as np
@@ -26,7 +26,7 @@ def test_every_bounce_has_its_own_entry_speed(device):
         sim.state.body_linear_velocity.fill_(model.types.vec3(0.0, 0.0, -speed))
         sim.step(2500)
         assert (model.sensor("touch.status") == ContactStatus.OPEN).all()
-        # Some 500 steps per contact.
+        # About 500 steps per contact.
         np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], e * speed, rtol=1e-3)
         sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 0.101))
 
@@ -56,7 +56,7 @@ def test_slow_contacts_use_the_speed_floor(device):
 
 
 LATCH = [
-    # start, options, what happens to the point, status at the end
+    # Start, options, later positions of the point, status at the end.
     ((0.5, -0.5, 0.1), {}, [(0.5, -0.5, -0.01)], ContactStatus.CONTACT),
     ((0.5, -0.5, -0.1), {}, [(0.5, -0.5, -0.01)], ContactStatus.WRONG_SIDE),
     ((0.5, -0.5, 0.1), {"max_depth": 0.05}, [(0.5, -0.5, -0.2), (0.5, -0.5, -0.01)], ContactStatus.WRONG_SIDE),
@@ -71,7 +71,7 @@ LATCH = [
 @pytest.mark.parametrize(("start", "options", "path", "status"), LATCH)
 def test_latch_follows_its_state_table(start, options, path, status, device):
     scene = wc.Scene(gravity=(0, 0, 0))
-    # The upper left half is hidden.
+    # The upper left half is inactive.
     surface = scene.add_surface(square(), active_faces=[0])
     body = scene.add_body(1.0, (1, 1, 1), position=start, name="body")
     law = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0))
@@ -100,7 +100,7 @@ def test_disabled_contact_keeps_its_latch(device):
 
 
 def spread_of(model):
-    """Every device array that belongs to the environments, by name."""
+    """Returns all device arrays with one row per environment, by name."""
     a = model.arrays
     return {
         f"{part}.{name}": getattr(struct, name)
@@ -125,7 +125,7 @@ def test_frozen_environment_is_unchanged_by_steps(device):
     status = model.arrays.status.numpy().copy()
     status[2] = ENV_FROZEN
     model.arrays.status.assign(status)
-    # Marks that any write would destroy.
+    # A pattern that any write would overwrite.
     rng = np.random.default_rng(8)
     before = {}
     for name, array in spread_of(model).items():
@@ -148,12 +148,12 @@ def test_frozen_environment_is_unchanged_by_steps(device):
 
 
 def test_sensors_of_frozen_environment_use_its_stored_state(device):
-    """Not where its points were when they were last looked at, which may be long ago for those far away."""
+    """Not the positions at the last detection, which may be many steps old for distant points."""
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=1.0, envs=2, device=device)
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(300)
     velocity = sim.state.body_linear_velocity.numpy().copy()
-    velocity[1] = 1e25  # its square is beyond float32
+    velocity[1] = 1e25  # its square overflows float32
     sim.state.body_linear_velocity.assign(velocity)
     sim.step()
     assert model.health().frozen.tolist() == [1]
@@ -186,7 +186,9 @@ def test_law_returning_nan_freezes_its_environment(device):
 
 
 def test_contacts_use_their_own_surface_points_and_law(device):
-    """Two meshes, each rotated, one on a rotated body; two friction models of one class; forces against hand values."""
+    """Two meshes, each rotated, one on a rotated body, and two friction models of one class: forces match hand
+    values.
+    """
     scene = wc.Scene(gravity=(0, 0, 0))
     turn = Rotation.from_euler("xyz", [0.3, -0.4, 0.5])
     tilt = Rotation.from_euler("xyz", [-0.2, 0.1, 0.7])
@@ -218,7 +220,7 @@ def test_contacts_use_their_own_surface_points_and_law(device):
 
 
 def test_coincident_vertices_are_welded(device):
-    """The corners of a soup of triangles have the pseudonormals of the solid."""
+    """The vertices of a triangle soup have the pseudonormals of the solid."""
     cube = wc.meshes.box((1.0, 1.0, 1.0))
     soup = wc.Mesh(cube.vertices[cube.faces].reshape(-1, 3), np.arange(36).reshape(12, 3))
     rng = np.random.default_rng(9)
@@ -248,7 +250,7 @@ def test_coincident_vertices_are_welded(device):
     ],
 )
 def test_parameter_changed_between_steps_equals_parameter_set_before(name, value, device):
-    """From shared to per environment the array moves: prepared launches have to follow."""
+    """A parameter that becomes different per environment is reallocated; prepared launches must use the new array."""
 
     def model():
         made = dropped_sphere(
@@ -326,7 +328,9 @@ def test_simulation_time_is_the_time_of_the_state(device):
 
 @pytest.mark.parametrize("offset", [0.0, 10.0, 1000.0])
 def test_floor_near_a_wall_is_nearest_far_from_the_origin(offset, device):
-    """Both are at about the same distance; that of the differences decides, not that of the coordinates."""
+    """Both are at nearly the same distance. The choice uses coordinate differences, which round less than
+    coordinates.
+    """
     corner = wc.Mesh(
         np.array([(0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0), (0, 4, 4), (0, 0, 4)]) + offset,
         [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)],

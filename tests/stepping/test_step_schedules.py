@@ -1,4 +1,4 @@
-"""However steps are taken, cached or not, captured or not, in slices by many threads: results are equal."""
+"""Results are equal with and without caches, with graphs or launches, and in slices stepped by many threads."""
 
 import functools
 import signal
@@ -65,7 +65,7 @@ def falling_on(mesh, *, radius=0.05, height=0.8, material=MATERIAL, surface=None
 
 
 def two_bodies():
-    """A box of points falls on a box that turns and flies, and both on the ground."""
+    """A box of points falls on a flying, rotating box, and both fall on the ground."""
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((6, 6), (5, 5)), name="ground")
     block = scene.add_body(
@@ -88,7 +88,8 @@ def half_active(mesh):
 SHELL = wc.meshes.icosphere(0.4, 3)
 PLATE = wc.meshes.grid((1.0, 0.6), (4, 3))
 CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-# A floor, and a wall that shows its inner side to what lies on it: the side changes where both are equally near.
+# A floor, and a wall with its inner side towards a body on the floor. The side changes where both are equally
+# near.
 FOLDED = wc.Mesh(
     [(-1, -1, 0), (0.5, -1, 0), (0.5, 1, 0), (-1, 1, 0), (0.6, -1, 0), (0.6, 1, 0), (0.6, 1, 1), (0.6, -1, 1)],
     [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)],
@@ -113,7 +114,7 @@ SCENES = {
     "the active part": falling_on(SHELL, surface=half_active(SHELL), search="active"),
     "with history": falling_on(SHELL, material=STUCK),
     "two bodies": two_bodies,
-    # Lists of up to 25, and of up to 48 faces, which is not enough.
+    # Face caches of up to 25 and up to 48 faces; the latter are too small.
     "a sphere of 3 edges": falling_on(FINE, radius=0.18),
     "a sphere of 8 edges": falling_on(FINE, radius=0.48),
 }
@@ -138,7 +139,7 @@ def run(name, precision, device, *, steps=700, envs=ENVS, **options):
     for _ in range(7):
         sim.step(steps // 7)
         states.append([model.sensor(f"{b.name}.{key}") for b in model.scene.bodies for key in STATE])
-    # What only falls has its velocity from the start and from gravity.
+    # A body in free fall has its initial velocity plus gravity times time.
     fall = model["body.linear_velocity"] + steps * 1e-3 * model["scene.gravity"]
     pushed = np.abs(model.sensor("body.linear_velocity") - fall).max(axis=1) > 1e-2
     return states, pushed
@@ -173,7 +174,7 @@ def test_distance_cache_does_not_change_results(name, few, precision, device, mo
 
 @pytest.fixture(params=["blocks", "queues", "queues and cells"])
 def detection(request, monkeypatch):
-    """Contacts are looked at as on a CPU, or as on a GPU."""
+    """Contact detection of a CPU, or of a GPU (work queues, with and without face grids)."""
     if request.param != "blocks":
         use_work_queues(monkeypatch)
     if request.param == "queues and cells":
@@ -182,7 +183,7 @@ def detection(request, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_latch_armed_in_a_repeated_step_is_preserved(detection):
-    """A point is armed while the step is taken again, sleeps, and is looked at next when it touches."""
+    """The latch is armed in substeps, the point is culled, and the next evaluation is in contact."""
 
     def run(distance_cache):
         scene = wc.Scene(gravity=(0, 0, 0))
@@ -210,9 +211,9 @@ def test_latch_armed_in_a_repeated_step_is_preserved(detection):
 @pytest.mark.parametrize(
     ("arm", "places", "touches"),
     [
-        # From above, past the rim where it is not seen, to below: never armed.
+        # From above, past the boundary outside the search radius, to below: never armed.
         (0.02, [(1.0, 0), (-0.05, 0), (-0.05, 0)], [False, False]),
-        # Turned over in between, so that of two points another comes into sight first: armed there.
+        # Flipped in between, so that of the two points another one enters the search radius first and is armed.
         (0.03, [(0.28, 0), (0.28, 1), *((z, 1) for z in np.arange(0.27, -0.05, -0.026))], [True, True]),
     ],
     ids=["out_of_reach", "into_reach"],
@@ -240,7 +241,7 @@ def test_points_of_a_cluster_are_armed_when_detected(arm, places, touches, detec
 @pytest.mark.parametrize("points", [1, 3])
 @pytest.mark.parametrize("speed", [0.0, -0.1])
 def test_distance_cache_does_not_change_a_contact_enabled_in_overlap(points, speed, device):
-    """It has not moved yet, so that what remembers its way has no force in the first step."""
+    """Nothing has moved yet, so models with tangential history have no force in the first step."""
 
     def run(distance_cache):
         scene = wc.Scene(gravity=(0, 0, 0))
@@ -275,7 +276,7 @@ def test_distance_cache_does_not_change_a_contact_enabled_in_overlap(points, spe
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_distance_cache_does_not_change_results_after_state_or_parameter_changes(precision, device):
-    """Between steps somebody sets the state, moves the surface, changes sizes or resets some environments."""
+    """Between steps the user sets the state, moves the surface, changes sizes or resets some environments."""
 
     def run(distance_cache):
         scene = wc.Scene()
@@ -324,7 +325,7 @@ def test_distance_cache_does_not_change_results_after_state_or_parameter_changes
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("name", ["box of points on terrain", "with history", "swept", "two bodies"])
 def test_captured_steps_equal_launched_steps(name, precision, device):
-    """A graph of many steps, of two, of one and whatever they add up to."""
+    """Graphs of many steps, of two, of one, and sums of these."""
 
     def run(graphs):
         model = SCENES[name]().build(envs=ENVS, precision=precision, device=device)
@@ -362,10 +363,10 @@ def test_threads_and_slices_do_not_change_results(name, threads, size, device, m
         pytest.param(True, False, id="grid-large"),
     ],
 )
-# Cells about faces that are small beside spheres take a CPU long to fill.
+# Face grids of small faces next to large spheres take a CPU long to fill.
 @pytest.mark.parametrize("name", [name for name in SCENES if not name.endswith("edges")])
 def test_work_queues_do_not_change_results(name, few, celled, precision, monkeypatch):
-    """As a GPU looks at contacts, here by one thread."""
+    """Contact detection as on a GPU, here in one thread."""
     usual = usual_run(name, precision)
     use_work_queues(monkeypatch)
     if celled:
@@ -378,7 +379,7 @@ def test_work_queues_do_not_change_results(name, few, celled, precision, monkeyp
 def test_concurrent_simulations_do_not_affect_each_other(device):
     names = ["box of points on terrain", "with history", "on a ball", "two bodies"]
     alone = [run(name, "float32", device)[0] for name in names]
-    # A GPU has one stream for all: there they take turns.
+    # A GPU has one stream for all models, so the runs alternate.
     with ThreadPoolExecutor(len(names) if device == "cpu" else 1) as pool:
         together = list(pool.map(lambda name: run(name, "float32", device)[0], names))
     for expected, states in zip(alone, together, strict=True):
@@ -396,7 +397,7 @@ def test_deterministic_run_is_repeated_bitwise(name, device):
 @pytest.mark.parametrize("crossing_substeps", [1, 4])
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_interrupt_leaves_all_environments_at_one_time(crossing_substeps, device):
-    """Ctrl-C, whenever it comes: whole steps were taken by everybody, and the clock tells how many."""
+    """On Ctrl-C at any time, all environments have taken the same number of whole steps, and the clock matches."""
 
     def prepared():
         model = SCENES["swept"]().build(envs=ENVS, device=device)
@@ -420,7 +421,7 @@ def test_interrupt_leaves_all_environments_at_one_time(crossing_substeps, device
 
 
 def test_slow_steps_are_split_into_small_chunks():
-    """However long a step takes, and however many are asked for."""
+    """For any duration and number of steps."""
 
     class Stepper:
         captured, device = False, wp.get_device("cpu")

@@ -1,4 +1,4 @@
-"""A stop condition holds an environment at the first state at which it holds, and no other is touched."""
+"""A stop condition freezes an environment at the first state that satisfies it; others are unaffected."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_stopped_environment_keeps_the_first_state_that_meets_the_condition_bitw
     velocity = recording["ball.linear_velocity"].to_numpy()
     np.testing.assert_array_equal(at_stop["linear_velocity"], velocity[first, each])
     found = sim.outcomes()
-    # Clocks are sums of steps.
+    # Environment clocks are sums of steps.
     np.testing.assert_allclose(found["end_time"], time[first], rtol=1e-12)
     assert (found["status"] == wc.EnvironmentStatus.STOPPED).all()
     np.testing.assert_array_equal(found["stopped_by"], 0)
@@ -56,7 +56,7 @@ def test_stopped_environment_keeps_the_first_state_that_meets_the_condition_bitw
 
 
 def test_both_state_buffers_have_the_stopped_state():
-    # Stopped after an odd and an even number of steps, whatever buffer that ends in.
+    # Stopped after an odd and an even number of steps, that is, in either state buffer.
     model = falling()
     sim = wc.Simulation(model, DT, stop={"landed": landed()})
     seen = []
@@ -104,7 +104,7 @@ def test_first_stop_condition_in_order_is_reported_and_outcomes_are_kept():
     found = sim.outcomes()
     np.testing.assert_array_equal(found["stopped_by"], 1)
     assert found["stopped_by"].attrs["flag_meanings"] == "never deep low"
-    # The state at the end is seen as well.
+    # Monitors evaluate the final state as well.
     np.testing.assert_array_equal(found["n"], 1.0)
     np.testing.assert_allclose(found["fall"], model.sensor("ball.position")[:, 2] - np.linspace(0.2, 0.5, 4))
     np.testing.assert_array_equal(sim.events()["time"][:, 0], found["end_time"])
@@ -152,7 +152,7 @@ def test_nonsmooth_contact_supports_stop_conditions():
     sim = wc.Simulation(model, DT, wc.integrators.MoreauJean(), stop=stop)
     sim.step(400)
     found = sim.outcomes()
-    # The impact is at √(2 · 0.2 m / g); the state after the step with the impulse is the first to know of it.
+    # The impact is at √(2 · 0.2 m / g). The condition sees it in the state after the step with the impulse.
     np.testing.assert_allclose(found["end_time"], np.sqrt(0.4 / 9.81), atol=2.0 * DT)
     assert (model.sensor("ball.linear_velocity")[:, 2] > 0.9).all()
 
@@ -175,8 +175,8 @@ def test_stop_condition_with_substeps_is_reported_once():
     sim = wc.Simulation(model, DT, crossing_substeps=20, outcomes=outcomes, stop=stop)
     sim.step(200)
     found = sim.outcomes()
-    # A step or a part of one is summed up once: times are those of the clocks, and impulses turn the ball round,
-    # but for about ω dt / 2 of them, by which the velocity of a step differs from that of a part of it.
+    # Each step or substep is summed once: times equal those of the clocks, and impulses reverse the ball. The
+    # error is about ω dt / 2, by which the velocity of a step differs from that of a substep.
     np.testing.assert_allclose(found["time"], found["end_time"], rtol=1e-9)
     gained = model.sensor("ball.linear_velocity")[:, 2] - [-20.0, -30.0]
     np.testing.assert_allclose(found["impulse"], gained, rtol=0.05)

@@ -1,4 +1,4 @@
-"""Crews of several devices: GPUs do not wait for each other, and begin before the CPU."""
+"""Worker pools of several devices: GPUs run concurrently and start before the CPU."""
 
 import itertools
 import threading
@@ -8,7 +8,7 @@ from warpcontact.stepping import worker_pool
 
 
 class Listed:
-    """A device by name, which cannot be a key, like those of Warp."""
+    """A device with a name; not hashable, like devices of Warp."""
 
     __hash__ = None
 
@@ -20,7 +20,7 @@ class Listed:
 
 
 class Stepper:
-    """Stands for one of a slice, and writes down who steps it."""
+    """Stand-in for the stepper of a slice that records which thread steps it."""
 
     def __init__(self, name, captured, log, meeting=None):
         self.device, self.captured, self.log, self.meeting = Listed(name), captured, log, meeting
@@ -36,12 +36,12 @@ class Stepper:
 
     def step(self, ways):
         if self.meeting is not None:
-            self.meeting.wait(timeout=10.0)  # a BrokenBarrierError if the others are not stepped meanwhile
+            self.meeting.wait(timeout=10.0)  # BrokenBarrierError if the others are not stepped concurrently
         self.log.append((str(self.device), threading.current_thread() is threading.main_thread()))
 
 
 def shares(names, *args, members=1):
-    """A share of a slice for each device, with a stepper for each of its threads."""
+    """One slice per device, with a stepper for each of its threads."""
     return [
         worker_pool.DeviceShare(
             [slice(0, 10**6)], [Stepper(name, *args) for _ in range(members if name == "cpu" else 1)]
@@ -75,7 +75,7 @@ def test_graphs_are_launched_on_gpus_before_cpu_slices_start():
 
 
 def chunks_of(slices, monkeypatch):
-    """The steps of each turn, by slice, that two threads take in 1000 steps of some slices."""
+    """Steps of each work item, by slice, when two threads take 1000 steps."""
     begun, taken, lock = {}, {}, threading.Lock()
 
     class OnSlices(Stepper):
@@ -108,29 +108,29 @@ def chunks_of(slices, monkeypatch):
 
 
 def test_few_slices_are_split_into_chunks_of_decreasing_length(monkeypatch):
-    """A thread that is slow leaves the next turn of its slice to others; the last turns are short."""
+    """Other threads take the next item of a slice whose thread is slow. The last items are short."""
     for counts in chunks_of(3, monkeypatch).values():
         assert counts[0] > 500
         assert counts == sorted(counts, reverse=True)
-        # Two threads with three slices do 1500 steps each.
+        # Two threads with three slices of 1000 steps take 1500 steps each.
         assert counts[-1] <= worker_pool._LAST_ITEM_FRACTION * 1500
         assert all(count % worker_pool._MIN_STEPS == 0 for count in counts)
 
 
 def test_only_the_last_of_many_slices_are_split_into_chunks(monkeypatch):
-    """A slice that is left is fetched once more: most are not."""
+    """Moving a slice to another thread loads it into the cache again, so most slices are not split."""
     taken = chunks_of(14, monkeypatch)
     assert [len(taken[own]) for own in range(6)] == [1] * 6
     assert all(len(taken[own]) > 2 for own in range(6, 14))
 
 
 def test_steps_without_duration_are_split_into_several_chunks(monkeypatch):
-    """Of environments that are held: once they are reset, as many steps at a time would not be interrupted."""
+    """With frozen environments only: after a reset, a chunk of that many steps could not be interrupted."""
     monkeypatch.setattr(worker_pool, "_MAX_ENV_STEPS", 2**15)
     made = worker_pool.WorkerPool(
         [worker_pool.DeviceShare([slice(0, 64)], [Stepper("cpu", True, []) for _ in range(2)])]
     )
     done = [0, *made.step(10**5)]
     assert done[-1] == 10**5
-    # Two threads share 64; what is left at the end may be half as many more.
+    # Two threads share 64 items; the last one may be half as long again.
     assert 2**10 <= max(later - earlier for earlier, later in itertools.pairwise(done)) <= 1.5 * 2**10
