@@ -1,4 +1,4 @@
-"""Scenes of contact couplings that several tests use."""
+"""Scenes of contact couplings that are shared by several tests."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ MASS, OTHER_MASS = 50.0, 20.0
 
 
 def divided_box(n, size=(0.4, 0.3, 0.2)):
-    """A box along the axes whose sides are n × n cells of two triangles each."""
+    """An axis-aligned box whose sides are n × n squares of two triangles each."""
     vertices, faces = [], []
     for axis in range(3):
         for side in (-1, 1):
@@ -35,7 +35,7 @@ def sole(half_x=0.1, half_y=0.05):
 
 
 def expected(other_mass=None, damping_ratio=0.0):
-    """The range of the impact of SPEC 5."""
+    """Contact range of the impact of SPEC 5."""
     return wc.ContactRange.from_impact(
         mass=MASS,
         other_mass=other_mass,
@@ -48,7 +48,7 @@ def expected(other_mass=None, damping_ratio=0.0):
 
 
 def impact_scene(other_mass=None, contact_range=None, friction=None, **options):
-    """A sole of 0.02 m² at the distance d₀ above a plate, which is fixed, or free and faces it."""
+    """A rectangle of 0.02 m² at distance d₀ above a plate that is fixed, or free and parallel to it."""
     scene = wc.Scene(gravity=(0, 0, 0))
     carrier = None if other_mass is None else scene.add_body(other_mass, [1.0] * 3, name="anvil")
     plate = scene.add_surface(wc.meshes.grid((1.0, 1.0)), carrier, name="plate")

@@ -1,4 +1,4 @@
-"""Contact couplings stop an impact where and when their closed forms say, and steps cost what they should."""
+"""Impacts on contact couplings match closed forms of stopping distance and time; cost of steps."""
 
 import json
 import math
@@ -16,7 +16,7 @@ RATIOS = (0.0, 0.05, 0.2, 0.7)
 
 
 def stop_of(ratio):
-    """Distance and time of the stop, and the rebound as a part of the speed, with the force cut at zero."""
+    """Returns stopping distance, stopping time, and rebound speed over impact speed, with the force cut at zero."""
     frequency, root = SPEED / STOPPING_PENETRATION, math.sqrt(1.0 - ratio**2)
     angle = math.acos(ratio)
     depth = STOPPING_PENETRATION * math.exp(-ratio / root * angle)
@@ -36,7 +36,7 @@ def test_contact_range_coefficients_match_impact_formulas(other, k1):
     made = expected(other)
     assert made.k1 == pytest.approx(k1, rel=1e-14)
     assert made.time_scale(MASS, AREA, other) == pytest.approx(0.015707963267948967, rel=1e-14)
-    # Another area than was estimated: τ goes with the inverse of its root.
+    # With an area other than the estimated one, τ scales with the inverse of its root.
     assert made.time_scale(MASS, 4.0 * AREA, other) == pytest.approx(0.5 * 0.015707963267948967, rel=1e-14)
     reduced = MASS if other is None else MASS * OTHER_MASS / (MASS + OTHER_MASS)
     for ratio, k2 in ((0.05, 2.5e4), (0.2, 1e5), (0.7, 3.5e5)):
@@ -48,7 +48,7 @@ def test_contact_range_coefficients_match_impact_formulas(other, k1):
 
 @pytest.fixture(scope="module")
 def models(device):
-    """Against what is fixed and against a free body, with a damping ratio per environment."""
+    """Impacts on a fixed plate and on a free body, with a damping ratio per environment."""
     found = {}
     for other in (None, OTHER_MASS):
         scene, coupling = impact_scene(other)
@@ -60,7 +60,7 @@ def models(device):
 
 @pytest.mark.parametrize(("other", "sort"), [(None, "free"), (OTHER_MASS, "free"), (OTHER_MASS, "reduced")])
 def test_coupled_impact_matches_closed_form(models, other, sort):
-    """Body and environment, two free bodies, and one of the reduced mass in their place."""
+    """Yields body and environment for two free bodies and for one body with their reduced mass."""
     model, coupling = models[None if sort == "reduced" else other]
     k1 = expected(other).k1
     model["block.mass"] = MASS if sort == "free" else MASS * OTHER_MASS / (MASS + OTHER_MASS)
@@ -78,10 +78,10 @@ def test_coupled_impact_matches_closed_form(models, other, sort):
     for env, ratio in enumerate(RATIOS):
         distance, time, rebound = stop_of(ratio)
         turn = int(np.argmax(speed[:, env] > 0.0))
-        # The velocity belongs to half a step before.
+        # The velocity belongs to half a step earlier.
         before, after = speed[turn - 1, env], speed[turn, env]
         stopped = (turn - 1 - before / (after - before) - 0.5) * TAU / steps
-        # Of first order in dt with damping: a step of τ/1000 is a part of 1.6e-3 of 1/ω.
+        # With damping, the scheme is of first order in dt: a step of τ/1000 is 1.6e-3 of 1/ω.
         assert height[:, env].min() == pytest.approx(
             distance, abs=2e-3 * ratio * STOPPING_PENETRATION + 1e-5 * STOPPING_PENETRATION
         )
@@ -105,7 +105,7 @@ def test_contact_range_formulas_match_reference(shared):
             distance, time, rebound = stop_of(ratio)
             assert distance == pytest.approx(given["d_stop_formula"], rel=1e-12)
             assert time == pytest.approx(given["t_stop_formula"], rel=1e-12)
-            # That of the oracle comes from an integration.
+            # The oracle's value comes from a numerical integration.
             assert rebound == pytest.approx(given["e_out_clamped"], rel=1e-9)
 
 
@@ -119,7 +119,7 @@ def test_steps_of_one_twentieth_stop_within_one_percent(models):
             height = height - recording["anvil.position"].sel(axis="z").values
             speeds = [recording[f"{name}.linear_velocity"].sel(axis="z").values for name in ("block", "anvil")]
             total = MASS * speeds[0] + OTHER_MASS * speeds[1]
-            # That of the common centre never changes: the reaction is exact.
+            # The velocity of the common center of mass is constant, because the reaction is exact.
             np.testing.assert_allclose(total / (MASS + OTHER_MASS), -1.5 * 50.0 / 70.0, rtol=1e-13)
         np.testing.assert_allclose(height.min(axis=0), CLOSEST, atol=0.01 * STOPPING_PENETRATION)
         np.testing.assert_allclose(np.argmin(height, axis=0) / 20.0, 1.0, atol=0.05)
@@ -128,7 +128,7 @@ def test_steps_of_one_twentieth_stop_within_one_percent(models):
 
 
 def test_time_step_error_matches_reference_table(device, shared):
-    """SPEC 5, Time step: in which phase of a step the range is entered makes the difference."""
+    """SPEC 5, Time step: the error depends on the phase of the step at which the range is entered."""
     table = json.loads((shared / "spec" / "oracle_contact_coupling.json").read_text())["impact"]
     scene, coupling = impact_scene()
     phases = np.linspace(0.02, 0.98, 25)
@@ -146,7 +146,7 @@ def test_time_step_error_matches_reference_table(device, shared):
         assert len(caught) == (steps < 20)
         closest = coupling.report(model).minimum_distance
         reference = table["timestep_tau_over_n"][str(steps)]
-        # Where a contact begins, a millionth of the force is not that of the table.
+        # At the start of contact, a millionth of the force differs from the table.
         assert closest.min() == pytest.approx(reference["d_stop_min"], abs=1e-6 * STOPPING_PENETRATION)
         assert closest.max() == pytest.approx(reference["d_stop_max"], abs=1e-6 * STOPPING_PENETRATION)
         speeds = model.sensor("block.linear_velocity")[:, 2] / SPEED
@@ -160,7 +160,7 @@ def test_gravity_reduces_stopping_distance_and_body_hovers(device):
     model["scene.gravity"] = (0.0, 0.0, -9.81)
     with pytest.warns(wc.ContactWarning, match=r"keep: gravity presses .* stops at 0.00399 m instead of 0.005 m"):
         wc.Simulation(model, dt=TAU / 1000.0).step(1500)
-    # Velocities are half a step early: by g dt/2 too much at the start, which is a depth of 5.1e-5 of the way.
+    # Velocities are half a step early: g dt/2 too much at the start, which is 5.1e-5 of the stopping distance.
     np.testing.assert_allclose(
         coupling.report(model).minimum_distance, 0.003986955528272279, atol=6e-5 * STOPPING_PENETRATION
     )

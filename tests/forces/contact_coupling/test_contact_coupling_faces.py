@@ -1,4 +1,4 @@
-"""Which faces of a contact coupling count, with which area, at which points, and what both bodies get."""
+"""Faces of a contact coupling: selection, areas, integration points, and wrenches on both bodies."""
 
 import json
 
@@ -13,7 +13,7 @@ FRICTION = wc.friction.Tanh(mu=0.3, velocity_scale=0.01)
 
 
 def box_over_plane(mesh, case, device, precision="float64", **options):
-    """Returns the model of a box held over a plane as ``case`` of the oracle says."""
+    """Returns the model of a fixed box above a plane, with the parameters of ``case`` of the oracle."""
     half = 0.5 * np.radians(case["R_deg"])
     scene = wc.Scene(gravity=(0, 0, 0))
     plane = scene.add_surface(wc.meshes.grid((2.0, 2.0)), name="plane")
@@ -40,7 +40,7 @@ def test_coupling_force_of_all_facing_faces_matches_reference_at_each_mesh_level
     for level in case["levels"]:
         model = box_over_plane(divided_box(level["n"]), case, device, facing="all")
         scale = np.linalg.norm(level["force"])
-        for prefix in ("keep", "box"):  # what the coupling says of itself, and what the body gets
+        for prefix in ("keep", "box"):  # force of the coupling, and force on the body
             np.testing.assert_allclose(model.sensor(f"{prefix}.force")[0], level["force"], atol=1e-10 * scale)
             np.testing.assert_allclose(model.sensor(f"{prefix}.torque")[0], level["moment"], atol=1e-10 * scale)
         assert (model.sensor("keep_first.status") == wc.ContactStatus.CONTACT).sum() == level["faces_in_range"]
@@ -54,7 +54,7 @@ def test_coupling_force_in_float32_matches_reference(oracle, name, device):
     for level in case["levels"]:
         model = box_over_plane(divided_box(level["n"]), case, device, "float32", facing="all")
         scale = np.linalg.norm(level["force"])
-        # A distance of 1 cm from a height of 11 cm is known to 1e-8 m, 1e-6 of what is left of the range.
+        # A distance of 1 cm, from a height of 11 cm, is accurate to 1e-8 m, which is 1e-6 of the remaining range.
         np.testing.assert_allclose(model.sensor("keep.force")[0], level["force"], rtol=0, atol=2e-6 * scale)
         np.testing.assert_allclose(model.sensor("keep.torque")[0], level["moment"], rtol=0, atol=2e-6 * scale)
 
@@ -80,13 +80,13 @@ def test_side_walls_do_not_contribute_with_projected_areas(oracle, device):
         model = box_over_plane(divided_box(n), oracle["flat"], device)
         np.testing.assert_allclose(model.sensor("keep.force")[0], [-1476.0, 0.0, 4920.0], rtol=1e-12, atol=1e-9)
         wc.Simulation(model, dt=1e-4).step()
-        # The walls are in range, and in nobody's way.
+        # The walls are within range but do not face the box.
         assert model.sensor("keep.effective_area")[0] == pytest.approx(0.12, rel=1e-12)
         assert model.sensor("keep.minimum_distance")[0] == pytest.approx(0.01, rel=1e-12)
 
 
 def sunk_volume(size, degrees, height):
-    """Volume of a box, turned about y with its centre at a height, that is lower than the range."""
+    """Volume of the part of a box that is below the range; rotated about y, with its center at a height."""
     angle = np.radians(degrees)
     x, z = 0.5 * size[0], 0.5 * size[2]
     corners = np.array([(-x, -z), (x, -z), (x, z), (-x, z)])
@@ -103,7 +103,7 @@ def sunk_volume(size, degrees, height):
 
 
 def test_projected_force_converges_to_volume_in_range_faster_with_more_points(device):
-    """Like buoyancy: each face carries the column of the range above its shadow."""
+    """As with buoyancy, the total is the volume within the range above the projection of each face."""
     case = {"R_deg": 2.0, "rb": [0, 0, 0.115], "vb": [0, 0, 0], "wb": [0, 0, 0]}
     limit = K1 * sunk_volume((0.4, 0.3, THICK), 2.0, 0.115)
     errors = {}
@@ -113,8 +113,8 @@ def test_projected_force_converges_to_volume_in_range_faster_with_more_points(de
             for n in (4, 8, 16, 32)
         ]
         errors[points] = np.abs(np.array(forces) / limit - 1.0)
-    # The boundary of the range cuts through faces, which no rule integrates exactly: the mean error of all levels,
-    # as a single one may happen to be right.
+    # The boundary of the range cuts faces, which no quadrature rule integrates exactly. The mean error over all
+    # levels is compared, because a single level may be exact by chance.
     mean = {points: float(np.exp(np.log(values).mean())) for points, values in errors.items()}
     assert errors[1][-1] < 2e-3
     assert mean[3] < 0.3 * mean[1]
@@ -165,13 +165,14 @@ def test_coupling_between_two_bodies_conserves_momentum(sides, device):
         sim.step(20)
         force = model.sensor("keep.force")[0]
         peak = max(peak, np.linalg.norm(force))
-        # One coupling is all there is between them: its wrench is that of the body, with either bookkeeping.
+        # The coupling is the only force element, so its wrench is that of the body, for either assignment of
+        # sides.
         np.testing.assert_allclose(force, model.sensor("upper.force")[0], atol=1e-9)
         np.testing.assert_allclose(model.sensor("keep.torque")[0], model.sensor("upper.torque")[0], atol=1e-9)
     assert peak > 100.0
     after = [model.sensor(name)[0] for name in names]
-    # 600 steps with a few roundings of 1e-16 of 5 kg·m/s; the positions of a step move angular momentum by
-    # nothing, as both bodies get the force at the same point.
+    # 600 steps with a few roundings of 1e-16 of 5 kg·m/s. The position update does not change angular momentum,
+    # because both bodies get the force at the same point.
     np.testing.assert_allclose(after[0], before[0], atol=2e-13)
     np.testing.assert_allclose(after[1], before[1], atol=2e-13)
     assert model.sensor("keep.minimum_distance")[0] < RANGE
@@ -185,7 +186,7 @@ def test_both_sides_share_one_set_of_parameters(device):
     made = wc.ContactRange(k1=K1, effective_range=RANGE)
     scene.add_contact_coupling(hull, plate, made, FRICTION, sides="average", name="keep")
     model = scene.build(envs=2, device=device, precision="float64")
-    # Equal areas face each other, 1 cm apart: half the force each.
+    # Equal areas face each other at a distance of 1 cm, so each coupling has half of the force.
     whole = 0.02 * K1 * 0.01
     for name in ("keep_first", "keep_second"):
         np.testing.assert_allclose(model.sensor(f"{name}.normal_force").sum(axis=1), 0.5 * whole, rtol=1e-12)
@@ -196,7 +197,7 @@ def test_both_sides_share_one_set_of_parameters(device):
     np.testing.assert_allclose(model.sensor("keep.force")[:, 2], [whole, 4.0 * whole], rtol=1e-12)
     model["keep.enabled"] = [1, 0]
     np.testing.assert_allclose(model.sensor("block.force")[:, 2], [whole, 0.0], rtol=1e-12)
-    # The area grows with the surface, which is lower by half of its growth then.
+    # The area scales with the surface. The scaled surface is lower by half of its growth.
     model["keep.enabled"], model["hull.scale"] = 1, [1.0, 1.1]
     model["block.position"] = [[0, 0, 0.06], [0, 0, 0.065]]
     first = model.sensor("keep_first.normal_force").sum(axis=1)
@@ -204,12 +205,14 @@ def test_both_sides_share_one_set_of_parameters(device):
 
 
 def test_facing_test_uses_surface_orientation(device):
-    """A wall that its surface lays flat faces the plane; inactive faces never do."""
+    """A vertical wall faces the plane if the orientation of its surface makes it horizontal; inactive faces never
+    do.
+    """
     scene = wc.Scene(gravity=(0, 0, 0))
     plane = scene.add_surface(wc.meshes.grid((2.0, 2.0)), name="plane")
     block = scene.add_body(1.0, [1.0] * 3, (0, 0, 0.01), name="block")
     wall = wc.Mesh([[0, -0.1, -0.1], [0, 0.1, -0.1], [0, 0.1, 0.1], [0, -0.1, 0.1]], [[0, 1, 2], [0, 2, 3]])
-    # Its normal is +x: a quarter turn about y lays it down.
+    # Its normal is +x; a quarter turn about y makes it horizontal.
     laid = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
     surface = scene.add_surface(wall, block, orientation=laid, active_faces=[0], name="wall")
     made = wc.ContactRange(k1=K1, effective_range=RANGE)
@@ -219,7 +222,7 @@ def test_facing_test_uses_surface_orientation(device):
     half = np.radians(30.0) * 0.5
     model["wall.orientation"] = [laid, (0, np.sin(np.pi / 4 + half), 0, np.cos(np.pi / 4 + half)), (0, 0, 0, 1)]
     forces = model.sensor("keep.force")[:, 2]
-    # The centroid of the face lies off the axis that it turns about.
+    # The centroid of the face is off the rotation axis.
     gap = model.sensor("keep_first.gap")[:, 0]
     np.testing.assert_allclose(forces[0], K1 * 0.02 * 0.01, rtol=1e-12)
     np.testing.assert_allclose(forces[1], -K1 * 0.02 * np.cos(np.radians(30.0)) * min(gap[1], 0.0), rtol=1e-12)
@@ -227,7 +230,7 @@ def test_facing_test_uses_surface_orientation(device):
 
 
 def test_couplings_and_contacts_in_one_scene_match_separate_scenes(device):
-    """Three couplings of two codes, and an ordinary contact that shares the code of one of them."""
+    """Three couplings of two compiled types, and a contact that shares the compiled code with one of them."""
     kinds = {
         "slick": {"facing": "all"},
         "bare": {},

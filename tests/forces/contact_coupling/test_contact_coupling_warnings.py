@@ -1,4 +1,4 @@
-"""What contact couplings say: warnings before the first step, a report after the last, and what they refuse."""
+"""Contact couplings: warnings before the first step, report after the last, and error messages."""
 
 import re
 import warnings
@@ -30,7 +30,7 @@ def test_step_above_one_twentieth_of_stopping_time_warns(impact):
     model.reset()
     assert warned(model, TAU / 20.0) == []
     model.reset()
-    # The lightest of the batch stops first: τ goes with the root of the mass.
+    # The lightest environment stops first: τ scales with the root of the mass.
     model["block.mass"] = [50.0, 12.5, 50.0]
     (message,) = warned(model, TAU / 20.0)
     assert re.match(
@@ -39,7 +39,7 @@ def test_step_above_one_twentieth_of_stopping_time_warns(impact):
         message,
     )
     model["block.mass"] = 50.0
-    # As much damping as this is unstable before that: 2/ω (√(1 + ς²) − ς), ω = 100/s.
+    # With strong damping, the stability limit is smaller: 2/ω (√(1 + ς²) − ς), ω = 100/s.
     ratio = 40.0
     model["keep.k2"] = 2.0 * ratio * np.sqrt(50.0 * 2.5e7 / AREA)
     model.reset()
@@ -74,8 +74,8 @@ def test_friction_too_steep_at_peak_impact_force_warns(impact):
             0.05 * 2.0 / 3.0,
             r"0.0133 m² can be in range .* 0.02 m²: it stops at 0.00163 m instead of 0.005 m",
         ),
-        # Below 0.5625 of it the surfaces meet.
-        (0.05 * 0.56, r"the surfaces touch instead of 0.005 m"),
+        # Below 0.5625 of the area, the surfaces touch.
+        (0.05 * 0.56, r"the surfaces meet instead of 0.005 m"),
         (0.05 * 0.995, None),
     ],
 )
@@ -160,7 +160,7 @@ def test_coupling_report_lists_environments_below_closest_distance(impact):
         "passed the closest distance of 0.005 m: in environment 1",
         "the surfaces met: in no environment",
     ]
-    # Only those that are reset forget.
+    # Only environments that are reset clear their report.
     model.reset(np.array([False, True, False]))
     after = coupling.report(model)
     assert after.minimum_distance[0] == report.minimum_distance[0]

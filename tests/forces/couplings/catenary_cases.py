@@ -1,4 +1,4 @@
-"""Lines that more than one test of catenaries uses, and the solver by itself."""
+"""Cables that are shared by several tests of catenaries, and the solver without a model."""
 
 import functools
 
@@ -55,7 +55,9 @@ def _arrays(count, *dtypes):
 
 
 def solve_suspended(lines, warm=None):
-    """Solves lines (x, y, weight, give): (h, v), how far off the span is, evaluations, whether it is met."""
+    """Solves suspended cables (x, y, weight, compliance): returns (h, v), span error, evaluations, convergence
+    flag.
+    """
     count = len(lines)
     start = np.zeros((count, 2)) if warm is None else warm
     inputs = [wp.array(start, dtype=wp.vec2d, device="cpu"), wp.array(lines, dtype=wp.vec4d, device="cpu")]
@@ -65,7 +67,9 @@ def solve_suspended(lines, warm=None):
 
 
 def solve_with_seabed(lines, heights, warm=None):
-    """Solves lines on a floor: (h, V of the lower end, V of the upper), evaluations, whether it is met."""
+    """Solves cables on a seabed: returns (h, V of lower end, V of upper end), span error, evaluations, convergence
+    flag.
+    """
     count = len(lines)
     inputs = [
         wp.array(np.zeros(count) if warm is None else warm, dtype=wp.float64, device="cpu"),
@@ -78,13 +82,13 @@ def solve_with_seabed(lines, heights, warm=None):
 
 
 def in_elastic_units(x, y, stiffness_over_weight):
-    """Returns lines (x, y, weight, give) in the unit of force of ``elastic_line.scale``."""
+    """Returns cables (x, y, weight, compliance) in the unit of force of ``elastic_line.scale``."""
     weight = 1.0 / (1.0 + stiffness_over_weight * np.maximum(np.hypot(x, y) - 1.0, 0.0))
     return np.stack([x, y, weight, 1.0 / (weight * stiffness_over_weight)], axis=1)
 
 
 def random_lines(count, seed=0):
-    """Lines of all kinds: slack, within 1e-8 of taut, stretched, nearly upright; stiff and soft."""
+    """Random cables: slack, within 1e-8 of taut, stretched, nearly vertical; stiff and soft."""
     rng = np.random.default_rng(seed)
     chord = rng.uniform(0.01, 1.5, count)
     nearly_taut = 1.0 + rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-8.0, -1.0, count)

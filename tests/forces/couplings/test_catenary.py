@@ -1,4 +1,4 @@
-"""Catenaries between bodies: the numbers of the specification, equilibrium, stiffness, floor and motion."""
+"""Catenaries between bodies: cases of the specification, equilibrium, stiffness, seabed and motion."""
 
 import json
 import warnings
@@ -11,13 +11,13 @@ from warpcontact.kernels.couplings import catenary, elastic_line
 import warpcontact as wc
 
 UNIT = (1.0, 1.0, 1.0)
-# Forces are rounded to the precision of the model; in between everything is in float64.
+# Forces are rounded to the precision of the model. All intermediate results are in float64.
 TOLERANCE = {"float32": 2.0e-6, "float64": 1.0e-10}
 LINE = {"length": 100.0, "mass_per_length": 20.0, "axial_stiffness": 1e6}
 
 
 def hung(place_b, envs=1, device="cpu", precision="float64", gravity=(0.0, 0.0, -9.81), **options):
-    """A line from the origin of the world to a body, at ``place_b`` (3,) or (envs, 3)."""
+    """A cable from the origin of the world to a body at ``place_b``, (3,) or (envs, 3)."""
     scene = wc.Scene(gravity=gravity)
     body = scene.add_body(1.0, UNIT, name="body")
     ends = scene.add_point(None, (0, 0, 0), name="anchor"), scene.add_point(body, (0, 0, 0))
@@ -41,7 +41,7 @@ def up_and_along(gravity):
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("direction", [(0.0, 0.0, -1.0), (0.48, -0.6, 0.64)])
 def test_catenary_matches_specification_cases(oracle, precision, direction, device):
-    """Also with gravity along some other axis, and with the ends exchanged."""
+    """Also with gravity along other axes, and with exchanged ends."""
     cases = list(oracle.values())
     gravity = 9.81 * np.array(direction)
     up, along = up_and_along(gravity) if direction[0] else (np.array([0, 0, 1.0]), np.array([1.0, 0, 0]))
@@ -56,7 +56,7 @@ def test_catenary_matches_specification_cases(oracle, precision, direction, devi
     swapped = sign < 0.0
     force_a, force_b = model.sensor("line.force_a"), model.sensor("line.force_b")
     largest = np.maximum(np.abs(first), np.abs(second)).max(axis=1)[:, None]
-    # A place in tilted axes is rounded: 1e-7 of the chord, over strains of a twentieth.
+    # Coordinates in tilted axes are rounded: 1e-7 of the chord, relative to strains of a twentieth.
     close = {"rtol": 0.0, "atol": TOLERANCE[precision] * (1.0 if not direction[0] else 30.0)}
     np.testing.assert_allclose(force_a / largest, np.where(swapped, second, first) / largest, **close)
     np.testing.assert_allclose(force_b / largest, np.where(swapped, first, second) / largest, **close)
@@ -69,7 +69,7 @@ def test_catenary_matches_specification_cases(oracle, precision, direction, devi
         np.testing.assert_allclose(model.sensor(f"line.{sensor}")[unswapped], expected, **close)
     for env, case in enumerate(cases[unswapped]):
         if "min_y_below_end1" in case:
-            # That of the specification is the lowest of some thousand points.
+            # The value of the specification is the lowest of about a thousand points.
             np.testing.assert_allclose(model.sensor("line.dip")[env], case["min_y_below_end1"], rtol=1e-6)
             stretched = model.sensor("line.stretched_length")[env]
             np.testing.assert_allclose(stretched, case["stretched_length_formula"], **close)
@@ -78,7 +78,9 @@ def test_catenary_matches_specification_cases(oracle, precision, direction, devi
 
 
 def test_catenary_forces_in_float32_match_float64_for_random_cables(device):
-    """Places have a remainder in float32, so that not even the tension of a line within 1e-8 of taut is lost."""
+    """In float32, positions have a rounding remainder, so that the tension of a cable within 1e-8 of taut is
+    accurate.
+    """
     lines = random_lines(100_000)
     x, y, weight, give = lines.T
     models = [hung((1.0, 0, 0), len(lines), device, precision) for precision in ("float64", "float32")]
@@ -91,17 +93,17 @@ def test_catenary_forces_in_float32_match_float64_for_random_cables(device):
     assert (models[1].sensor("line.status") != wc.CatenaryStatus.FAILED).all()
     for model, rounding in zip(models, (1e-12, 2e-7), strict=True):
         assert model.sensor("line.iterations").max() <= 20
-        # Both ends carry the weight, to a rounding of the larger of their forces.
+        # The end forces balance the weight, to rounding of the larger force.
         total = model.sensor("line.force_a") + model.sensor("line.force_b")
         off = (total + np.array([0.0, 0.0, 9.81 * 2000.0])) / largest
         np.testing.assert_allclose(off, 0.0, atol=rounding)
-    # What is left is gravity, which has no remainder: 3e-8 of the weight, of which tensions follow.
+    # The remaining error comes from gravity, which has no remainder: 3e-8 of the weight and of the tension.
     np.testing.assert_allclose(rounded / largest, exact / largest, atol=2e-6)
 
 
 @pytest.fixture(scope="module")
 def scattered(device):
-    """A model of lines to many places, and these."""
+    """A model of cables to many positions, and these positions."""
     places = np.random.default_rng(0).normal(size=(200, 3)) * (60.0, 60.0, 30.0)
     return hung(places, len(places), device), places
 
@@ -119,7 +121,7 @@ def test_catenary_shape_ends_at_its_end_points_and_has_its_length(scattered):
     np.testing.assert_allclose(shape[:, 0], 0.0, atol=1e-7)
     np.testing.assert_allclose(shape[:, -1], places, atol=1e-7)
     polyline = np.linalg.norm(np.diff(shape, axis=1), axis=2).sum(axis=1)
-    # 4000 chords of arcs of some metres radius.
+    # A polyline of 4000 chords on arcs with radii of some meters.
     np.testing.assert_allclose(model.sensor("line.stretched_length"), polyline, rtol=1e-6)
     np.testing.assert_allclose(model.sensor("line.dip"), -shape[..., 2].min(axis=1), atol=0.01)
 
@@ -143,7 +145,8 @@ def test_catenary_stiffness_is_the_derivative_of_force(scattered):
     expected = _differences(model, places, 1e-4)
     stiffness = model.catenary_stiffness("line")
     size = np.abs(stiffness).max(axis=(1, 2), keepdims=True)
-    # Central differences over 0.1 mm of lines that bend within decimetres; a residual of 1e-8 m times stiffness.
+    # Central differences over 0.1 mm, of cables that bend within decimeters, plus a residual of 1e-8 m times
+    # stiffness.
     np.testing.assert_allclose(stiffness / size, expected / size, atol=1e-4)
     np.testing.assert_array_equal(stiffness, np.swapaxes(stiffness, 1, 2))
     assert (np.linalg.eigvalsh(stiffness) < 0.0).all()
@@ -157,7 +160,7 @@ def test_catenary_stiffness_of_vertical_cable_is_the_limit(device):
     np.testing.assert_allclose(upright[:, 2, 2], expected[:, 2, 2], rtol=1e-6)
     taut = [0, 1, 3, 4]
     np.testing.assert_allclose(upright[taut], expected[taut], rtol=1e-5, atol=1e-3)
-    # Folded, it hangs loose sideways: the tension at the fold is nothing.
+    # A folded vertical cable has no lateral force, because the tension at the fold is zero.
     np.testing.assert_array_equal(upright[2, :2], 0.0)
 
 
@@ -167,22 +170,22 @@ def test_catenary_gravity_can_vary_by_environment_and_vanish(device):
     model["scene.gravity"] = (0.0, 0.0, 0.0)
     chord = np.hypot(60.0, 84.0)
     tension = 1e6 * (chord / 100.0 - 1.0)
-    # A straight spring, or no force at all.
+    # The force of a straight spring, or zero.
     expected = [(tension * 60.0 / chord, 0.0, tension * 84.0 / chord), (0, 0, 0), (0, 0, 0), (0, 0, -1e5)]
     np.testing.assert_allclose(model.sensor("line.force_a"), expected, rtol=1e-12)
     names = [wc.CatenaryStatus(code).name for code in model.sensor("line.status")]
     assert names == ["TAUT", "LOOSE", "LOOSE", "TAUT"]
     np.testing.assert_allclose(model.catenary_shape("line", 3)[1], [(0, 0, 0), (15.0, 20.0, 0), (30.0, 40.0, 0)])
-    # Without gravity there is no plane: of a straight spring, EA/L along it and T/chord across.
+    # Without gravity the cable is straight: stiffness EA/L along it and T/chord across.
     stiffness = model.catenary_stiffness("line")[3]
     np.testing.assert_allclose(stiffness, -np.diag([1e5 / 110.0, 1e5 / 110.0, 1e4]), rtol=1e-12)
     model["scene.gravity"] = [(0, 0, 0), (0, 0, 0), (0, -2.0, 0), (0, 0, 0)]
-    # Both ends in one place: folded in the middle.
+    # Both ends at the same position: the cable folds in its middle.
     np.testing.assert_allclose(model.sensor("line.force_a")[2], (0, -2000.0, 0), rtol=1e-12)
 
 
 def test_catenary_is_invariant_far_from_the_origin(device):
-    """In float32 places are told to a millimetre there, but differences of places of bodies are not lost."""
+    """float32 resolves about 1 mm there, but differences of body positions keep their precision."""
     scene = wc.Scene()
     for k, far in enumerate((0.0, 1e5)):
         body = scene.add_body(1.0, UNIT, (far + 80.0, far, 30.0 + far), name=f"body_{k}")
@@ -200,7 +203,7 @@ def test_catenary_is_invariant_far_from_the_origin(device):
 
 
 def test_catenary_force_is_continuous_at_liftoff_from_seabed(device):
-    """As its upper end goes away, forces and shape pass without a jump from resting to hanging."""
+    """As the upper end rises, forces and shape are continuous from the grounded to the suspended cable."""
     x = np.linspace(0.0, 100.0, 401)
     places = np.stack([x, np.zeros_like(x), np.full_like(x, 30.0)], axis=1)
     model = hung(places, len(x), device, floor=0.0)
@@ -209,7 +212,7 @@ def test_catenary_force_is_continuous_at_liftoff_from_seabed(device):
     grounded = status == wc.CatenaryStatus.GROUNDED
     assert grounded[0]
     assert not grounded[-1]
-    # Once off, it is off.
+    # After liftoff, the cable remains off the seabed.
     assert (np.diff(grounded.astype(int)) <= 0).all()
     assert (np.diff(lies) <= 1e-9).all()
     shape = model.catenary_shape("line", 201)
@@ -219,11 +222,11 @@ def test_catenary_force_is_continuous_at_liftoff_from_seabed(device):
     loose = x <= 100.0 - model.sensor("line.tension_b")[0] / (20.0 * 9.81)
     np.testing.assert_array_equal(tension[loose], 0.0)
     assert (np.diff(tension[~loose]) > 0.0).all()
-    # A rising part from the lowest point: T²/(2 EA) + T = H + H²/(2 EA) + w h.
+    # A suspended part from the lowest point: T²/(2 EA) + T = H + H²/(2 EA) + w h.
     upper = model.sensor("line.tension_b")[grounded]
     held = tension[grounded] + tension[grounded] ** 2 / 2e6 + 20.0 * 9.81 * 30.0
     np.testing.assert_allclose(upper + upper**2 / 2e6, held, rtol=1e-12)
-    # The anchor lies on the floor: nothing pulls it up, until the line leaves the floor.
+    # The anchor is on the seabed: it has no vertical force until the cable lifts off.
     np.testing.assert_array_equal(model.sensor("line.force_a")[grounded][:, 2], 0.0)
     assert (model.sensor("line.force_a")[~grounded][:, 2] > 0.0).all()
     weight = -(model.sensor("line.force_a") + model.sensor("line.force_b"))[:, 2]
@@ -251,7 +254,7 @@ def test_catenary_end_below_seabed_is_flagged_and_computed_at_seabed(device):
 
 
 def test_catenary_end_far_below_seabed_warns(device):
-    """A depth given as a height: both ends are below. An anchor may be buried by a hundredth of the length."""
+    """A depth given as a height puts both ends below the seabed. An anchor may be buried by 1 % of the length."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wc.Simulation(hung((90.0, 0, 49.0), 2, device, floor=0.5), dt=1e-3).step()
@@ -266,7 +269,7 @@ def test_catenary_end_far_below_seabed_warns(device):
 
 
 def pendulum(device, precision="float64"):
-    """A heavy body that swings on a line."""
+    """A heavy body that swings on a cable."""
     scene = wc.Scene()
     body = scene.add_body(500.0, UNIT, (8.0, 1.0, -4.0), linear_velocity=(0, 3.0, 0), name="body")
     ends = scene.add_point(None, (0, 0, 0)), scene.add_point(body, (0, 0, 0))
@@ -275,7 +278,7 @@ def pendulum(device, precision="float64"):
 
 
 def _line_energy(shape, line):
-    """Weight and strain of a line by its shape (frames, points, 3)."""
+    """Potential and strain energy of a cable from its shape (frames, points, 3)."""
     piece = line["length"] / (shape.shape[1] - 1)
     middle = 0.5 * (shape[:, 1:, 2] + shape[:, :-1, 2])
     strain = np.linalg.norm(np.diff(shape, axis=1), axis=2) / piece - 1.0
@@ -296,7 +299,7 @@ def test_body_swinging_on_catenary_conserves_energy(device):
             total = model.sensor("body.kinetic_energy")[0] + model.sensor("body.potential_energy")[0]
             energy.append(total + _line_energy(model.catenary_shape("line", 401)[:1], line)[0])
         spread.append(np.ptp(energy))
-        # A symplectic step is off by half a step of work, force times speed, now and after ten seconds.
+        # The energy of a symplectic step is off by half a step of power, force times speed, also after 10 s.
         assert spread[-1] < 7e3 * 9.0 * dt
     assert spread[1] < 0.55 * spread[0]
 
@@ -327,7 +330,7 @@ def test_catenary_run_is_repeated_after_reset(device):
     for name in runs[0]:
         np.testing.assert_array_equal(runs[0][name], runs[1][name])
     assert runs[0]["line.status"].attrs["flag_meanings"].startswith("HANGING TAUT")
-    # An environment alone goes the same way.
+    # A single environment gives the same trajectory.
     assert (runs[0]["line.tension_b"].values == runs[0]["line.tension_b"].values[:, :1]).all()
 
 
@@ -341,7 +344,7 @@ def test_disabled_catenary_has_no_force(device):
 
 @pytest.fixture
 def _no_iterations(monkeypatch):
-    """Takes the search its iterations."""
+    """Disables the iterations of the solver."""
     monkeypatch.setattr(elastic_line, "EVALUATIONS", 0)
     monkeypatch.setattr(elastic_line, "WARM_EVALUATIONS", 0)
     catenary.kernel.cache_clear()
@@ -411,7 +414,7 @@ def test_experiment_file_errors_name_the_catenary_key(tmp_path):
 
 
 def test_too_long_step_for_taut_catenary_warns(device):
-    """A kilogram on EA/L = 10 kN/m: a period of 63 ms, stable to 20 ms."""
+    """1 kg on EA/L = 10 kN/m: period 63 ms, stable up to 20 ms."""
     sim = wc.Simulation(hung((50.0, 0, 0), device=device), dt=0.0199)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -1,4 +1,4 @@
-"""The equations of an elastic line are solved for every line, and from every start."""
+"""The equations of an elastic catenary are solved for every cable and from every initial guess."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_catenary_solver_converges_in_few_iterations(random):
 
 def test_catenary_span_matches_integrated_tension(random):
     lines, (found, *_) = random
-    # Lines whose tension does not vanish near a point, where the quadrature would not see it.
+    # Cables whose tension does not vanish near a point; there the quadrature would be inaccurate.
     smooth = (found[:, 0] > 0.1) & (lines[:, 2] > 0.1)
     assert smooth.sum() > COUNT // 10
     (x, y, weight, give), (h, v) = lines[smooth].T, found[smooth].T
@@ -35,7 +35,7 @@ def test_catenary_span_matches_integrated_tension(random):
     s, ds = 0.5 * (places + 1.0), 0.5 * parts
     vertical = v[:, None] + weight[:, None] * s
     stretch = 1.0 / np.hypot(h[:, None], vertical) + give[:, None]
-    # The poles of 1/|t| are a tenth of a line off it: 60 points integrate it to 1e-10.
+    # The poles of 1/|t| are a tenth of the length away from the cable: 60 points integrate it to 1e-10.
     np.testing.assert_allclose((h[:, None] * stretch) @ ds, x, atol=1e-8)
     np.testing.assert_allclose((vertical * stretch) @ ds, y, atol=1e-8)
 
@@ -50,7 +50,8 @@ def test_catenary_solver_converges_to_same_solution_from_any_warm_start(random, 
     assert converged.all()
     assert (off <= _allowed(lines)).all()
     assert used.max() <= 20
-    # Where the span tells the force: strains are above 1e-6, so that a residual of 1e-10 is 1e-4 of them at most.
+    # Cables whose span determines the force: strains are above 1e-6, so a residual of 1e-10 is at most 1e-4 of
+    # them.
     firm = np.abs(np.hypot(lines[:, 0], lines[:, 1]) - 1.0) > 1e-3
     np.testing.assert_allclose(found[firm], cold[firm], rtol=1e-5, atol=1e-9)
 
@@ -83,7 +84,7 @@ def test_vertical_catenary_is_the_limit_of_nearly_vertical_ones():
         beside, _, _, converged = solve_suspended(nearly)
         assert (used == 0).all()
         assert converged.all()
-        # Its ends differ by 1e-13, and forces by no more than its own stiffness times that.
+        # The ends differ by 1e-13, and the forces by at most the stiffness times that.
         np.testing.assert_allclose(beside[:, 1], there[:, 1], rtol=1e-7, atol=1e-9)
         assert (beside[:, 0] < 1e-8).all()
 
@@ -100,7 +101,9 @@ def test_weightless_catenary_is_a_linear_spring_or_slack():
 
 
 def _rising(h, height, weight, give):
-    """Reach, own length and vertical force of a part that hangs from a height to the floor, by its catenary."""
+    """Horizontal span, unstretched length and vertical force of the suspended part above a seabed, from its
+    catenary.
+    """
     more = np.maximum(weight * height, 0.0)
     tension = h + 2 * more / (1 + give * h + np.sqrt((1 + give * h) ** 2 + 2 * give * more))
     v = np.sqrt(tension**2 - h**2)
@@ -128,13 +131,13 @@ def test_grounded_catenary_span_is_the_sum_of_its_parts():
         found, used, converged = solve_with_seabed(lines, heights, warm)
         assert converged.all()
         assert used.max() <= 20
-        # A residual of 1e-10 of a span that grows by a millionth at least of what h grows by.
+        # A residual of 1e-10 in a span that changes by at least 1e-6 of the change of h.
         np.testing.assert_allclose(found[:, 0], h[lies], rtol=1e-6, atol=1e-6)
         np.testing.assert_allclose(found[:, 1:], np.stack([v_1, v_2], axis=1)[lies], rtol=1e-5, atol=1e-5)
 
 
 def test_grounded_catenary_matches_suspended_one_at_touchdown():
-    """At the moment that the lowest point comes down, both equations have one solution."""
+    """When the lowest point touches the seabed, the equations of the suspended and the grounded cable agree."""
     lines = random_lines(20_000, seed=3)
     found, *_ = solve_suspended(lines)
     weight, give = lines[:, 2], lines[:, 3]

@@ -1,4 +1,4 @@
-"""A reset of some environments leaves what couplings and motions of the others remember and where they are."""
+"""A partial reset leaves the history and poses of couplings and joints in other environments unchanged."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ SENSORS = ("rope.status", "line.iterations", "keep.effective_area", "keep.minimu
 
 @pytest.fixture
 def sim(device):
-    """A rope that breaks, a line that was solved before, a sole within its range, a shaker and a slider."""
+    """A broken rope, a solved cable, a surface within coupling range, a shaker and a slider."""
     scene = wc.Scene(gravity=(0, 0, -9.81))
     plate = scene.add_surface(wc.meshes.grid((1.0, 1.0)), name="plate")
     block = scene.add_body(50.0, (1.0,) * 3, (0, 0, 0.02), linear_velocity=(0, 0, -1.5), name="block")
@@ -38,10 +38,10 @@ def test_reset_clears_coupling_state_of_masked_environments_only(sim):
     model = sim.model
     begin = values(model)
     sim.step(20)
-    # Velocities that neither the shaker nor the slider would have by itself.
+    # Velocities that are inconsistent with the shaker and the slider.
     for array in (sim.state.body_linear_velocity, sim.state.body_angular_velocity):
         array.fill_(0.25)
-    model["rope.break_force"] = 1e6  # what is broken now is so from memory
+    model["rope.break_force"] = 1e6  # now only the history marks it as broken
     before = values(model)
     for name, value in before.items():
         assert (value != begin[name]).all(), name
@@ -53,7 +53,7 @@ def test_reset_clears_coupling_state_of_masked_environments_only(sim):
     for name, array in vars(sim.state).items():
         np.testing.assert_array_equal(array.numpy()[1], state[name][1], err_msg=name)
     velocity = sim.state.body_linear_velocity.numpy()[0]
-    # That of the functions and the joint again: the derivative 2π f a, and none.
+    # Velocities of the prescribed motion and of the joint: the derivative 2π f a, and zero.
     np.testing.assert_allclose(
         velocity, [(0, 0, -1.5), (0, -2 * np.pi * 5e-3, 0), (0, 0, 0)], rtol=1e-6, atol=1e-9
     )

@@ -1,4 +1,4 @@
-"""Spring-dampers: the numbers of the specification, oscillators in closed form, ropes, breaking, tables."""
+"""Spring-dampers: cases of the specification, oscillators in closed form, ropes, breaking, tables."""
 
 import json
 import warnings
@@ -11,7 +11,7 @@ import warp as wp
 import warpcontact as wc
 
 UNIT = (1.0, 1.0, 1.0)
-# A rounding of each of the terms of a force: distance, rate and coefficients.
+# One rounding of each term of the force: distance, rate and coefficients.
 TOLERANCE = {"float32": 2.0e-6, "float64": 1.0e-10}
 
 
@@ -27,7 +27,7 @@ class Sinh(wc.Spring):
 
 
 def pair(position=(1.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), first_velocity=(0.0, 0.0, 0.0), masses=(1.0, 1.0)):
-    """Two bodies, the first at the origin, with a point in the middle of each."""
+    """Two bodies, the first at the origin, each with a point at its center."""
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     one = scene.add_body(masses[0], UNIT, linear_velocity=first_velocity, name="one")
     two = scene.add_body(masses[1], UNIT, position, linear_velocity=velocity, name="two")
@@ -53,7 +53,7 @@ def test_linear_spring_matches_specification(oracle, precision, device):
     model["two.position"] = [place for place, _, _ in cases.values()]
     model["two.linear_velocity"] = [velocity for _, velocity, _ in cases.values()]
     model["one.linear_velocity"] = [velocity for _, _, velocity in cases.values()]
-    # What is zero there is zero here, to the last bit but those of a product with 2000 N/m.
+    # Zeros of the oracle are zero here, up to rounding of a product with 2000 N/m.
     close = {"rtol": TOLERANCE[precision], "atol": 1.0e-12}
     for env, name in enumerate(cases):
         expected = oracle[name]
@@ -66,12 +66,12 @@ def test_linear_spring_matches_specification(oracle, precision, device):
 
 
 def assert_near(actual, expected, close):
-    """Each within its own tolerance."""
+    """Asserts that each value is within its own tolerance."""
     assert (np.abs(actual - expected) <= close["atol"] + close["rtol"] * np.abs(expected)).all(), actual - expected
 
 
 def force_at(spring, lengths, device, precision="float64", rest_length=1.0, **parameters):
-    """Force and status of a spring at some distances, one in each environment."""
+    """Force and status of a spring at given distances, one per environment."""
     scene, end_1, end_2 = pair()
     scene.add_spring_damper(end_1, end_2, spring=spring, rest_length=rest_length, name="spring")
     model = scene.build(len(lengths), device, precision)
@@ -86,17 +86,17 @@ def test_polynomial_spring_matches_specification(oracle, precision, device):
     case = oracle["polynomial"]
     table = np.array(case["table"])
     spring = wc.springs.Polynomial(a=case["a"], b=case["b"], c=case["c"])
-    # At rest, where the force is zero, a rounding of the length counts at the stiffness.
+    # At the rest length, where the force is zero, the rounding of the length times the stiffness remains.
     rounding = 2000.0 * {"float32": 2.0**-23, "float64": 2.0**-52}[precision]
     close = {"rtol": TOLERANCE[precision], "atol": np.where(table[:, 2] == 0.0, rounding, 0.0)}
     assert_near(force_at(spring, table[:, 0], device, precision)[0], table[:, 2], close)
-    # The same from a force at a reference length, whatever the length at rest is called.
+    # The same force from a reference force at a reference length, independent of the rest length.
     reference = oracle["reference"]
     again = wc.springs.Polynomial(
         a=2000.0, b=300.0, c=4000.0, reference_length=reference["xr"], reference_force=reference["fr"]
     )
     assert_near(force_at(again, table[:, 0], device, precision)[0], table[:, 2], close)
-    # The law as a secant from the length at rest, which the force does not depend on.
+    # The law is given as a secant stiffness from the rest length; the force does not depend on the rest length.
     for rest, secant in reference["keff(1.3)"].items():
         law = wc.springs.StiffnessTable.of(
             lambda x: 2000.0 + 600.0 * (x - 1.0) + 12000.0 * (x - 1.0) ** 2,
@@ -105,14 +105,15 @@ def test_polynomial_spring_matches_specification(oracle, precision, device):
             reference_force=reference["fr"],
         )
         force, _ = force_at(law, np.array([1.3]), device, precision, rest_length=float(rest))
-        # A parabola over intervals h is missed by k″ h²/12: 24 000 · 2.5e-7/12 N/m over 0.1 m.
+        # Linear interpolation of a parabola over intervals h is off by k″ h²/12: 24 000 · 2.5e-7/12 N/m over 0.1
+        # m.
         assert force[0] / (1.3 - float(rest)) == pytest.approx(secant, rel=2.0e-6, abs=2.0e-4)
 
 
 def test_stiffness_table_is_integrated_exactly_and_constant_beyond_its_ends(device):
     pairs = [(0.5, 100.0), (1.0, 300.0), (2.0, 200.0)]
     lengths = np.array([0.2, 0.5, 0.8, 1.0, 1.5, 2.0, 3.0])
-    # From rest at 1 m, by hand: ∫ k over each piece.
+    # Hand values from the rest length of 1 m: ∫ k over each segment.
     expected = [
         -0.5 * 200.0 - 0.3 * 100.0,
         -0.5 * 200.0,
@@ -126,7 +127,7 @@ def test_stiffness_table_is_integrated_exactly_and_constant_beyond_its_ends(devi
     np.testing.assert_allclose(force, expected, rtol=1e-13, atol=1e-12)
     outside = wc.CouplingStatus.OUTSIDE
     assert status.tolist() == [outside, 0, 0, 0, 0, 0, outside]
-    # With a force at a reference length the length at rest does not matter.
+    # With a force at a reference length, the rest length has no effect.
     for rest in (0.0, 0.5, 1.0):
         law = wc.springs.StiffnessTable(table=pairs, reference_length=1.5, reference_force=7.0)
         force, _ = force_at(law, lengths, device, rest_length=rest)
@@ -142,7 +143,8 @@ def test_stiffness_table_force_matches_specification(oracle, device):
         return case["a"] + e * (2.0 * case["b"] + 3.0 * case["c"] * e)
 
     spring = wc.springs.StiffnessTable.of(stiffness, np.linspace(0.5, 1.5, 1001))
-    # A parabola over intervals h is missed by k″ h²/12 at each point: 24 000 · 1e-6/12 N/m over 0.3 m.
+    # Linear interpolation of a parabola over intervals h is off by k″ h²/12 at each point: 24 000 · 1e-6/12 N/m
+    # over 0.3 m.
     np.testing.assert_allclose(force_at(spring, table[:, 0], device)[0], table[:, 2], rtol=0, atol=6.1e-4)
 
 
@@ -155,7 +157,7 @@ def test_force_table_is_scaled_per_environment(device):
 
 def test_custom_spring_in_float32_matches_reference(oracle, device):
     case = oracle["f_e_given"]
-    # But for the place a micrometre from rest, which float32 does not tell from a tenth more.
+    # Excluded is the row 1 µm from the rest length, where float32 has an error of a tenth.
     table = np.array([row for row in case["table"] if abs(row[0] - 1.0) > 1.0e-3])
     spring = Sinh(force_scale=case["F0"], length_scale=case["L"])
     force, _ = force_at(spring, table[:, 0], device, "float32")
@@ -206,7 +208,7 @@ def test_two_masses_oscillate_with_closed_form_frequency_and_decay(oracle, devic
     crossings = np.flatnonzero((stretch[1:] < 0.0) != (stretch[:-1] < 0.0))
     zeros = time[crossings] + dt * stretch[crossings] / (stretch[crossings] - stretch[crossings + 1])
     np.testing.assert_allclose(np.diff(zeros), np.pi / turn, rtol=2.5e-4)
-    # What is exact, whatever the step: momentum.
+    # Momentum is conserved exactly for any step.
     np.testing.assert_allclose(model.sensor("scene.linear_momentum"), 0.0, atol=1e-13)
 
 
@@ -226,7 +228,7 @@ def test_off_center_springs_conserve_momentum_and_angular_momentum(device):
     wc.Simulation(model, 1.0e-3).step(1000)
     after = [model.sensor(f"scene.{key}") for key in ("linear_momentum", "angular_momentum")]
     np.testing.assert_allclose(after[0], before[0], atol=1e-12)
-    # Places move along the new velocities, which adds nothing to x × m v.
+    # Positions advance along the new velocities, which adds nothing to x × m v.
     np.testing.assert_allclose(after[1], before[1], atol=1e-12)
 
 
@@ -255,7 +257,7 @@ def test_broken_spring_stays_broken_until_reset(device):
     first = int(np.argmax(status[:, 0]))
     assert (status[first:, 0] == broken).all()
     speed = model.sensor("two.linear_velocity")[0, 0] - model.sensor("one.linear_velocity")[0, 0]
-    # Energy that went into the spring: ½ μ (36 − v²) = ½ k (0.6² − 0.5²). It breaks within a step of 5 mm, at
+    # Energy stored in the spring: ½ μ (36 − v²) = ½ k (0.6² − 0.5²). The spring breaks within a step of 5 mm, over
     # which v changes by k x dt/(μ v).
     assert speed == pytest.approx(np.sqrt(36.0 - 100.0 * 0.11 / 0.5), abs=120.0 * 1.0e-3)
     sim.reset(np.array([True, False]))
@@ -339,7 +341,7 @@ def test_external_forces_accelerate_bodies(device):
     sim.step(10)
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], [-0.981, -1.962, -1.962], rtol=1e-12)
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 0], [0.0, 0.0, 0.1], atol=1e-12)
-    # Arrays, written between steps without a word to the model.
+    # The user writes these arrays directly between steps.
     force, torque = (array.numpy() for array in (model.external.force, model.external.torque))
     force[...] = 0.0
     torque[1, 1] = (0.0, 0.0, 0.2)
@@ -478,7 +480,7 @@ def test_too_long_step_for_a_spring_warns(device):
     def spring(**options):
         scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
         rod = scene.add_body(1.0, (0.01, 0.01, 0.01), name="rod")
-        # A force across an arm of 0.1 m: 1/m + r²/I = 2 per kg.
+        # A force with a lever arm of 0.1 m: 1/m + r²/I = 2 per kg.
         ends = scene.add_point(rod, (0.1, 0, 0)), scene.add_point(None, (0.1, 0, 1.0))
         scene.add_spring_damper(*ends, name="spring", **options)
         return wc.Simulation(scene.build(2, device), 1.0e-3)
@@ -498,7 +500,7 @@ def test_too_long_step_for_a_spring_warns(device):
 
 
 def test_spring_period_estimate_uses_the_joint_of_a_body(device):
-    # A bar on a hinge: 0.5 + 2·1² = 2.5 kg·m² about it, and the spring pulls at 2 m: ω = 2 √(k/2.5).
+    # A bar on a revolute joint: 0.5 + 2·1² = 2.5 kg·m² about it, and the spring acts at 2 m: ω = 2 √(k/2.5).
     def bar(motion):
         scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
         rod = scene.add_body(2.0, (0.5, 0.5, 0.5), (1.0, 0.0, 0.0), motion=motion, name="rod")
@@ -514,12 +516,12 @@ def test_spring_period_estimate_uses_the_joint_of_a_body(device):
         warnings.simplefilter("error")
         wc.Simulation(bar(wc.motions.Slider(axis=(1, 0, 0))), 2.0e-3).step()
         wc.Simulation(bar(wc.motions.Fixed()), 2.0e-3).step()
-    # And it swings so.
+    # The simulated period matches.
     model = bar(wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 0)))
     model["rod.angular_velocity"] = (0.0, 1.0e-4, 0.0)
     model["rod.linear_velocity"] = (0.0, 0.0, -1.0e-4)
     dt = 1.0e-5
     length = wc.Simulation(model, dt).run(period, ["spring.length"], every=dt)["spring.length"].values[:, 0]
-    # Down first: a quarter period stretched the most, three quarters compressed the most.
+    # It starts downwards: the spring is longest after a quarter period and shortest after three quarters.
     assert int(np.argmax(length)) * dt == pytest.approx(period / 4, rel=2e-3)
     assert int(np.argmin(length)) * dt == pytest.approx(3 * period / 4, rel=2e-3)

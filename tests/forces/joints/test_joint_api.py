@@ -1,4 +1,4 @@
-"""What a motion may be, per environment and device, and how models, steps, files and warnings deal with it."""
+"""API of joints: values per environment and device, model sensors, steps, files, errors and warnings."""
 
 import warnings
 from typing import Any
@@ -137,7 +137,7 @@ def test_free_body_is_bitwise_unaffected_by_a_jointed_body(device):
 
 
 def mixed():
-    """An arm that strikes a plate, on a shaker."""
+    """An arm on a joint that strikes a plate on a shaker."""
     scene = add()
     arm = scene.bodies[0]
     shaker = scene.add_body(
@@ -170,7 +170,7 @@ NAMES = ("arm.position", "arm.orientation", "arm.angular_velocity", "shaker.posi
 
 @pytest.fixture(scope="module")
 def run(device):
-    """Runs the scene, each environment with values of its own; returns the model and what came of it."""
+    """Runs the scene with different values per environment; returns the model and its results."""
 
     def go(split=1, steps=700, **options):
         model = mixed().build(envs=4, device=[device] * split)
@@ -185,7 +185,7 @@ def run(device):
 
 def test_jointed_environments_are_bitwise_identical_for_any_schedule(run, device):
     model, expected = run()
-    # All arms have struck the plate, and some press on it now.
+    # All arms have struck the plate, and some are in contact now.
     assert (model.sensor("touch.normal_force") > 0.0).any()
     for name in ("arm.position", "shaker.position"):
         assert len(np.unique(model.sensor(name).round(6), axis=0)) == 4, name
@@ -216,7 +216,7 @@ def test_reset_environment_returns_to_initial_joint_state_and_frozen_one_stays(r
     assert model.arrays.time.numpy()[[0, 1, 3]].tolist() == [0, 0, 0]
     for name, value in zip(NAMES, begin, strict=True):
         np.testing.assert_array_equal(model.sensor(name)[[0, 1, 3]], value[[0, 1, 3]], err_msg=name)
-    # An environment goes by its own clock.
+    # Each environment uses its own clock.
     t = model.arrays.time.numpy()[2]
     height = 0.4 + 0.05 * np.sin(2 * np.pi * 3.1 * t)
     np.testing.assert_allclose(model.sensor("shaker.position")[2, 2], height, rtol=1e-12)
@@ -235,7 +235,7 @@ def test_initial_velocities_are_projected_onto_the_joint(device):
 
 @pytest.mark.parametrize("parts", [1, 8])
 def test_swept_contact_with_substeps_stops_a_revolute_arm(parts, device):
-    """Steps in parts begin from velocities of another time, on the joint as well."""
+    """Substeps begin with velocities of another time, also for the joint."""
     scene = wc.Scene(gravity=(0, 0, 0))
     hinge = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 0))
     arm = scene.add_body(
@@ -254,14 +254,15 @@ def test_swept_contact_with_substeps_stops_a_revolute_arm(parts, device):
     place, rate = model.sensor("arm.position")[0], model.sensor("arm.angular_velocity")[0]
     assert place[2] > 0.0
     np.testing.assert_allclose(model.sensor("arm.linear_velocity")[0], np.cross(rate, place), atol=1e-13)
-    # Elastic: the plate, which rises at 2π mm/s, adds twice that over an arm of 0.5 m. Some 10 steps of contact.
+    # Elastic contact: the plate, which rises at 2π mm/s, adds twice that over a lever arm of 0.5 m. The contact
+    # lasts about 10 steps.
     np.testing.assert_allclose(rate[1], -10.0 - 2 * 2 * np.pi * 1e-3 / 0.5, atol=0.04)
     t = model.arrays.time.numpy()[0]
     np.testing.assert_allclose(model.sensor("lift.position")[0, 2], 1e-3 * np.sin(2 * np.pi * t), rtol=1e-10)
 
 
 def test_substeps_do_not_change_a_pendulum_without_crossing(device):
-    """Its velocities are those of half a step before; shorter steps begin from later ones."""
+    """Velocities belong to half a step earlier; after a change to substeps they belong to a later time."""
     scene = wc.Scene(gravity=(0, 0, -9.81))
     scene.add_body(1.0, (0.1,) * 3, position=(0.5, 0, 5.0), motion=HINGE_ABOVE, name="arm")
     harmonic = wc.motions.Harmonic(direction=(1, 0, 0), amplitude=0.1, frequency=2.0)
@@ -281,12 +282,13 @@ def test_substeps_do_not_change_a_pendulum_without_crossing(device):
         mean = 0.1 * (np.sin(4 * np.pi * t) - np.sin(4 * np.pi * (t - dt))) / dt
         # To dt²/24 of its third derivative.
         np.testing.assert_allclose(model.sensor("lift.linear_velocity")[0, 0], mean, atol=4e-4)
-    # One step at a rate that is dt/2 too early would be off by dt²/2 α = 1.8e-4 rad, this by its third order.
+    # A velocity that is dt/2 too early in one step would give an error of dt²/2 α = 1.8e-4 rad. The remaining
+    # error is of third order.
     np.testing.assert_allclose(angles[0], angles[1], atol=2e-5)
 
 
 def test_contact_duration_estimate_uses_the_mobility_of_a_jointed_body(device):
-    """A door is heavier at its hinge: I/d² decides how long a contact takes, not its mass."""
+    """A door is harder to move near its hinge: I/d², not the mass, determines the duration of contact."""
 
     def shortest(motion):
         scene = wc.Scene(gravity=(0, 0, 0))
@@ -301,7 +303,7 @@ def test_contact_duration_estimate_uses_the_mobility_of_a_jointed_body(device):
     free = shortest(wc.motions.Free())
     hinged = shortest(wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 0)))
     inertia = 0.1 + 0.5**2
-    # π √(m*/K), said in two digits: m* = 1 kg, and I/d² = 35 kg.
+    # π √(m*/K), printed with two digits: m* = 1 kg, and I/d² = 35 kg.
     np.testing.assert_allclose(free, np.pi * np.sqrt(1.0 / 1e4), rtol=0.02)
     np.testing.assert_allclose(hinged, np.pi * np.sqrt(inertia / 0.1**2 / 1e4), rtol=0.03)
 
@@ -337,7 +339,7 @@ def test_prescribed_and_fixed_bodies_are_kinematic_in_usd(device, tmp_path):
     ids=lambda motion: type(motion).__name__,
 )
 def test_mobility_of_jointed_body_matches_response_of_a_step(motion, device):
-    """What warnings go by is what a step does: δv along the force, of a small impulse."""
+    """The mobility used for warnings equals the response of a step to a small impulse: δv along the force."""
     scene = wc.Scene(gravity=(0, 0, 0))
     arm = scene.add_body(
         2.0, (0.3, 0.2, 0.15), POSE["position"], (0.5, 0.1, 0.3, np.sqrt(0.65)), motion=motion, name="arm"
@@ -349,13 +351,13 @@ def test_mobility_of_jointed_body_matches_response_of_a_step(motion, device):
     wc.Simulation(model, dt).step()
     v, w = model.sensor("arm.linear_velocity")[0], model.sensor("arm.angular_velocity")[0]
     moved = (v + np.cross(w, place[0])) @ n[0] / (1e-3 * dt)
-    # Differences of first order in a step of 1e-6 s with velocities of 1e-9.
+    # First-order differences over a step of 1e-6 s with velocities of 1e-9.
     np.testing.assert_allclose(mobility_along(model, arm, place, n)[0], moved, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("motion", [HINGE, wc.motions.Ball(anchor=(0, 0, 1))], ids=["Hinge", "Ball"])
 def test_largest_mobility_of_jointed_body_is_found_over_all_directions(motion, device):
-    """What the advice takes for the worst is the most of all directions, at the worst of the places."""
+    """The warnings use the largest mobility over all directions and contact points."""
     scene = wc.Scene()
     ground = scene.add_surface(square())
     arm = scene.add_body(
@@ -371,13 +373,13 @@ def test_largest_mobility_of_jointed_body_is_found_over_all_directions(motion, d
     arms = Rotation.from_quat(model["arm.orientation"][0]).apply(places)
     yields = [mobility_along(model, arm, np.broadcast_to(place, directions.shape), directions) for place in arms]
     most = np.max(yields)
-    # Of 20 000 directions the nearest to the worst is some 0.01 rad off.
+    # Among 20 000 random directions, the nearest to the maximum is about 0.01 rad off.
     np.testing.assert_allclose(mobility_of(model, contact, arm).linear[0, 0], most, rtol=1e-3)
     assert mobility_of(model, contact, arm).linear[0, 0] >= most * (1.0 - 1e-12)
 
 
 class Root(wc.Spring):
-    """f = k √(x − x₀): no number where it is shorter than at rest."""
+    """f = k √(x − x₀): NaN for lengths below the rest length."""
 
     stiffness: float = wc.parameter("N/√m", "stiffness k")
 
@@ -400,7 +402,7 @@ JOINTS = {
 
 
 def test_non_finite_load_freezes_its_environment_for_every_joint(device):
-    """Also where the body does not yield to it: each environment has another body under it."""
+    """Also if the body cannot move in the direction of the load; each environment has another body under it."""
     scene = wc.Scene(gravity=(0, 0, 0))
     for name, motion in JOINTS.items():
         body = scene.add_body(**POSE, motion=motion, name=name)

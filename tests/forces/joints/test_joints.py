@@ -1,4 +1,4 @@
-"""Joints against closed forms: pendulum, cone, rotor, slope, collision; and what must not drift."""
+"""Joints against closed forms: pendulum, cone, rotor, slope, collision; and absence of drift."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,13 @@ from scipy.special import ellipk
 import warpcontact as wc
 
 G = 9.81
-MASS, LENGTH, INERTIA = 2.0, 0.5, 0.04  # of a pendulum: kg, m from the axis, kg·m² about its centre
+MASS, LENGTH, INERTIA = 2.0, 0.5, 0.04  # pendulum: kg, m from the axis, kg·m² about its center of mass
 ABOUT_AXIS = INERTIA + MASS * LENGTH**2
 ANCHOR = np.array([0.3, -0.2, 1.0])
 
 
 def pendulum(angle=0.0, rate=0.0, anchor=ANCHOR, **options):
-    """A pendulum on a hinge along y, ``angle`` from hanging down."""
+    """A pendulum on a revolute joint along y, at ``angle`` from hanging down."""
     scene = wc.Scene(gravity=(0, 0, -G))
     scene.add_body(
         MASS,
@@ -43,15 +43,15 @@ def test_pendulum_keeps_period_and_energy_over_a_thousand_periods(device):
         names = ["arm.kinetic_energy", "arm.potential_energy"]
         first = energy(sim.run(2 * period, names))
         sim.step(998 * steps - steps // 4)
-        # A quarter of a period early it hangs straight down: the way from there tells the time.
+        # A quarter of a period earlier the pendulum hangs straight down: the angle from there gives the phase.
         hanging = np.remainder(model.sensor("arm.angle")[0] + start + np.pi, 2 * np.pi) - np.pi
-        # From rest the scheme is half a step ahead.
+        # After a start from rest, the scheme is half a step ahead.
         ahead.append((hanging / model.sensor("arm.angle_rate")[0] - 0.5 * sim.dt) / (1000 * period))
         last = energy(sim.run(2 * period, names))
         np.testing.assert_allclose([last.min(), last.max()], [first.min(), first.max()], atol=2e-3 * np.ptp(first))
         swing.append(np.ptp(first))
-    # The scheme is conjugate to one of second order: the period is off by dt², 0.04 of one in a thousand with 200
-    # steps each; the energy swings by dt.
+    # The scheme is conjugate to a second-order one. The period is off by dt²: 0.04 of a period after a thousand
+    # periods of 200 steps. The energy oscillates by dt.
     assert abs(ahead[0]) < 1e-4
     np.testing.assert_allclose(ahead[0] / ahead[1], 4.0, rtol=0.05)
     np.testing.assert_allclose(swing[0] / swing[1], 2.0, rtol=0.05)
@@ -70,7 +70,7 @@ def test_revolute_joint_reaction_matches_closed_form(device):
 
 
 def test_unbalanced_rotor_reaction_matches_closed_form(device):
-    """A product of inertia I_xz asks for the moment I_xz ω² across the axis, and turns with the rotor."""
+    """A product of inertia I_xz needs the moment I_xz ω² across the axis, which rotates with the rotor."""
     scene = wc.Scene(gravity=(0, 0, 0))
     tensor = [[0.3, 0, 0.05], [0, 0.3, 0], [0.05, 0, 0.4]]
     hinge = wc.motions.Hinge(axis=(0, 0, 1), anchor=(0, 0, 0))
@@ -81,13 +81,13 @@ def test_unbalanced_rotor_reaction_matches_closed_form(device):
     wc.Simulation(model, dt).step(1000)
     turned = Rotation.from_rotvec((0, 0, 4.0)).apply((0, 0.05 * 16, 0))
     np.testing.assert_allclose(model.sensor("rotor.reaction_torque")[0], turned, atol=1e-12)
-    # Nothing acts about the axis: the rate stays to the bit.
+    # There is no torque about the axis, so the rate is bitwise constant.
     assert model.sensor("rotor.angle_rate")[0] == 4.0
     np.testing.assert_allclose(model.sensor("rotor.angle"), 4.0 - 2 * np.pi, rtol=1e-12)
 
 
 def cone(device):
-    """A symmetric body on a ball joint that goes round a cone: Ω² = m g l/((A − C) cos θ)."""
+    """A symmetric body on a spherical joint in steady precession: Ω² = m g l/((A − C) cos θ)."""
     tilt = 0.6
     across, along = 0.03, 0.01
     speed = np.sqrt(MASS * G * LENGTH / ((across + MASS * LENGTH**2 - along) * np.cos(tilt)))
@@ -118,7 +118,7 @@ def test_conical_pendulum_matches_closed_form(device):
         wc.Simulation(model, dt=2 * np.pi / speed / steps).step(3 * steps)
         displacement = model.sensor("bob.position")[0] - ANCHOR
         np.testing.assert_allclose(np.linalg.norm(displacement), LENGTH, rtol=1e-14)
-        # Steady precession is not stable against what the first half step leaves out: an error of first order.
+        # Steady precession amplifies the error of the first half step: first order in dt.
         off.append(np.linalg.norm(displacement - LENGTH * np.array([np.sin(tilt), 0, -np.cos(tilt)])))
     assert off[0] < 0.01 * LENGTH
     np.testing.assert_allclose(off[0] / off[1], 2.0, rtol=0.2)
@@ -144,7 +144,7 @@ def test_prismatic_planar_and_cartesian_joints_match_closed_form(device):
         MASS * G * np.cos(slope) * np.array([np.sin(slope), 0, np.cos(slope)]),
     )
     wc.Simulation(model, dt).step(1000)
-    # Semi-implicit Euler falls ½ a t² (1 + dt/t).
+    # Semi-implicit Euler falls by ½ a t² (1 + dt/t).
     fallen = 0.5 * G * (1.0 + dt)
     np.testing.assert_allclose(model.sensor("cart.displacement"), 0.5 + fallen * np.sin(slope), rtol=1e-12)
     np.testing.assert_allclose(model.sensor("cart.displacement_rate"), 0.5 + G * np.sin(slope), rtol=1e-12)
@@ -156,7 +156,7 @@ def test_prismatic_planar_and_cartesian_joints_match_closed_form(device):
 
 
 def test_joints_do_not_drift_in_100000_steps_of_float32(device):
-    """Joints hold to one rounding, what is along the axes of the world to the bit."""
+    """Joint constraints hold to one rounding; components along world axes are bitwise exact."""
     scene = wc.Scene(gravity=(1.0, 2.0, -G))
     tilted = Rotation.from_rotvec((0.4, -0.3, 0.8))
     place = (0.7, 0.1, 0.4)
@@ -180,9 +180,9 @@ def test_joints_do_not_drift_in_100000_steps_of_float32(device):
     lengths = {name: np.linalg.norm(model.sensor(f"{name}.position")[0] - anchor) for name in ("hinge", "ball")}
     expected = np.linalg.norm(np.subtract(place, anchor))
     for name, length in lengths.items():
-        # A position has its remainder: better than one rounding of float32.
+        # A position has a remainder, so the error is below one rounding of float32.
         np.testing.assert_allclose(length, expected, rtol=1e-12, err_msg=name)
-    # The point of the body that is pinned, as contacts see it, by its orientation in float32.
+    # The fixed point of the body as used by contacts, from its orientation in float32.
     for name in ("hinge", "ball"):
         turn = Rotation.from_quat(model.sensor(f"{name}.orientation")[0].astype(np.float64))
         pinned = model.sensor(f"{name}.position")[0] + turn.apply(tilted.inv().apply(np.subtract(anchor, place)))
@@ -199,12 +199,12 @@ def test_joints_do_not_drift_in_100000_steps_of_float32(device):
     np.testing.assert_array_equal(model.sensor("rail.orientation")[0], start[1])
     displacement = model.sensor("rail.position")[0] - place
     across = displacement - (displacement @ axis) * axis
-    # Of a way of 490 m in float64: the remainder is that exact.
+    # Displacement of 490 m in float64; the remainder is accurate to this bound.
     assert np.linalg.norm(across) < 1e-11 * np.linalg.norm(displacement)
 
 
 def struck_door(law, device, precision="float64"):
-    """A ball flies at a door on a hinge along z, 0.8 m from the axis."""
+    """A ball hits a door on a revolute joint along z, 0.8 m from the axis."""
     scene = wc.Scene(gravity=(0, 0, 0))
     hinge = wc.motions.Hinge(axis=(0, 0, 1), anchor=(0, 0, 0))
     door = scene.add_body(3.0, (0.5, 0.3, 0.4), position=(0.5, 0, 0), motion=hinge, name="door")
@@ -220,7 +220,7 @@ def struck_door(law, device, precision="float64"):
 
 @pytest.mark.parametrize("restitution", [1.0, 0.5])
 def test_ball_bounces_off_a_door_with_its_effective_mass(restitution, device):
-    """m* = I/d² of the door; momentum about the axis is kept, and with a spring the energy."""
+    """m* = I/d² of the door. Angular momentum about the axis is conserved, and with a spring also the energy."""
     law = (
         wc.laws.Hooke(stiffness=1e6)
         if restitution == 1.0
@@ -232,7 +232,7 @@ def test_ball_bounces_off_a_door_with_its_effective_mass(restitution, device):
     inertia, arm = 0.4 + 3.0 * 0.5**2, 0.8
     mass = 1.0 / (1.0 / 0.7 + arm**2 / inertia)
     impulse = (1.0 + restitution) * mass * 2.0
-    # Some 1500 steps of contact, of first order; the door turns by a thousandth meanwhile.
+    # About 1500 steps of contact, first-order error. The door rotates by 0.001 rad meanwhile.
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0, 1], 2.0 - impulse / 0.7, atol=4e-3)
     np.testing.assert_allclose(model.sensor("door.angle_rate"), arm * impulse / inertia, rtol=4e-3)
     if restitution == 1.0:
@@ -240,16 +240,16 @@ def test_ball_bounces_off_a_door_with_its_effective_mass(restitution, device):
 
 
 def test_revolute_joint_far_from_the_origin_moves_as_at_the_origin(device):
-    """One kilometre off, in float32: places are differences."""
+    """At 1 km in float32, because positions are stored as differences."""
     trajectories = []
     for far in (0.0, 1000.0):
         anchor = np.array([far, -far, far])
         model = pendulum(1.0, anchor=anchor, precision="float32", device=device)
         wc.Simulation(model, dt=1e-3).step(2000)
         trajectories.append(model.sensor("arm.position")[0] - anchor)
-    # The orientation decides, in both to 6e-8 a step.
+    # The orientation determines the error, which is 6e-8 per step in both.
     np.testing.assert_allclose(trajectories[0], trajectories[1], atol=1e-6)
     exact = pendulum(1.0)
     wc.Simulation(exact, dt=1e-3).step(2000)
-    # 2000 roundings of an angle, 3e-8 each, that rarely have the same sign.
+    # 2000 roundings of an angle, 3e-8 each, with mixed signs.
     np.testing.assert_allclose(trajectories[0], exact.sensor("arm.position")[0] - ANCHOR, atol=1e-5)

@@ -1,4 +1,4 @@
-"""Bodies that follow functions of time, or the velocities that a user sets."""
+"""Prescribed motion: bodies that follow functions of time, or velocities that the user sets."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ EPSILON = {"float32": 2.0**-24, "float64": 2.0**-53}
 
 
 class Helix(wc.Motion):
-    """Along a helix about z, turning with it about ``axis``."""
+    """Motion along a helix about z, rotating about ``axis``."""
 
     radius: float = wc.parameter("m", "radius", above=0.0)
     rate: float = wc.parameter("rad/s", "angular frequency")
@@ -67,7 +67,7 @@ FOLLOWED = {
 
 @pytest.fixture(scope="module", params=["float32", "float64"])
 def followed(request, device):
-    """A body that moves free, and one for each function."""
+    """A free body, and one body for each prescribed motion."""
     scene = wc.Scene(gravity=(0, 0, -G))
     for name, (motion, _) in FOLLOWED.items():
         scene.add_body(
@@ -77,7 +77,7 @@ def followed(request, device):
 
 
 def pose_error(model, name, function, t):
-    """How far position [m] and orientation [rad] are from the function at ``t``."""
+    """Errors of position [m] and orientation [rad] relative to the function at ``t``."""
     way, turn = function(t)
     orientation = Rotation.from_quat(model.sensor(f"{name}.orientation")[0].astype(np.float64))
     turned = (Rotation.from_rotvec(turn) * TURNED).inv() * orientation
@@ -93,13 +93,15 @@ def test_prescribed_motion_is_tracked_exactly_over_a_long_run(followed):
         t = model.arrays.time.numpy()[0]
         for name, (_, function) in FOLLOWED.items():
             place, angle = pose_error(model, name, function, t)
-            # Positions have their remainder; a phase of 900 rad is rounded to 1e-13.
+            # Positions have a remainder; a phase of 900 rad is rounded to 1e-13.
             assert place < 1e-12, (name, steps)
             assert angle < 4 * EPSILON[model.precision] + 1e-12, (name, steps)
 
 
 def test_prescribed_motion_uses_the_recorded_time(device):
-    """In float32 a step of 1 ms is off by 5e-8 of it: 3e-4 rad of 50 Hz after 20 s, were the clock its sum."""
+    """In float32, 1 ms has a relative error of 5e-8. A clock that sums such steps would be off by 3e-4 rad of 50
+    Hz after 20 s.
+    """
     scene = wc.Scene()
     shake = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.1, frequency=49.7)
     scene.add_body(1.0, (0.1, 0.1, 0.1), motion=shake, name="table")
@@ -107,7 +109,7 @@ def test_prescribed_motion_uses_the_recorded_time(device):
     recording = wc.Simulation(model, 1.0e-3).run(20.0, every=0.5)
     time = recording["time"].values
     expected = 0.1 * np.sin(2.0 * np.pi * 49.7 * time)
-    # A sum of 20 000 times up to 20 s is off by 3.6e-11 s at most, at 31 m/s.
+    # A sum of 20 000 times up to 20 s is off by at most 3.6e-11 s, at 31 m/s.
     np.testing.assert_allclose(recording["table.position"].values[:, 0, 2], expected, rtol=0, atol=1.2e-9)
 
 
@@ -117,10 +119,10 @@ def test_prescribed_velocity_is_the_mean_over_the_step(followed):
     rounding = 4 * EPSILON[model.precision]
     for name, (_, function) in FOLLOWED.items():
         if name == "table":
-            continue  # before its first time it is held: half the derivative
+            continue  # constant before its first time: half the derivative
         h = 1e-4
         slope = (function(h)[0] - function(-h)[0]) / (2 * h)
-        # From a difference of 2e-6 s, in which float64 is exact to 1e-9; mine to h².
+        # Central difference over 2e-6 s, accurate to 1e-9 in float64; the joint's own difference is of order h².
         np.testing.assert_allclose(model.sensor(f"{name}.linear_velocity")[0], slope, atol=2e-4, err_msg=name)
     dt = 1e-3
     sim = wc.Simulation(model, dt=dt)
@@ -140,13 +142,13 @@ def test_prescribed_velocity_is_the_mean_over_the_step(followed):
 
 
 def test_prescribed_motion_reaction_equals_driving_force(followed):
-    """F = m (a − g) with the acceleration of the instant."""
+    """F = m (a − g) with the acceleration at this time."""
     model = followed
     model.reset()
     wc.Simulation(model, dt=1e-3).step(100)
     angle = 9.0 * model.arrays.time.numpy()[0]
     acceleration = -0.3 * 81.0 * np.array([np.cos(angle), np.sin(angle), 0])
-    # Second differences over 2e-5 s: of float64 to 1e-6 m/s², of the function to (ω h)²/12.
+    # Second differences over 2e-5 s: accurate to 1e-6 m/s² in float64, and to (ω h)²/12 of the function.
     expected = 2.0 * (acceleration + np.array([0, 0, G]))
     np.testing.assert_allclose(model.sensor("helix.reaction_force")[0], expected, atol=2e-5)
 
@@ -169,7 +171,8 @@ def test_kinematic_body_moves_with_its_constant_velocity(device):
     model = scene.build(envs=2, device=device, precision="float64")
     sim = wc.Simulation(model, dt=0.125)
     sim.step(8)
-    # Neither gravity nor contact nor its own inertia changes them; binary steps add up without rounding.
+    # Gravity, contact and inertia do not change these velocities. Steps are powers of two and add without
+    # rounding.
     np.testing.assert_array_equal(model.sensor("plate.linear_velocity"), [velocity] * 2)
     np.testing.assert_array_equal(model.sensor("plate.position"), [velocity] * 2)
     turn = Rotation.from_quat(model.sensor("plate.orientation")[0]).as_rotvec()
@@ -182,7 +185,7 @@ def test_kinematic_body_moves_with_its_constant_velocity(device):
 
 @pytest.mark.slow
 def test_swept_contact_detects_a_prescribed_surface_jump(device):
-    """What is known of distances goes by poses: a plate at rest for long comes up by 0.4 m in two steps."""
+    """Motion bounds use poses: a plate at rest for a long time rises by 0.4 m in two steps."""
     scene = wc.Scene(gravity=(0, 0, 0))
     jump = wc.motions.Table(
         times=(0.0, 0.0998, 0.1, 0.102, 0.1022, 0.3),
@@ -200,12 +203,12 @@ def test_swept_contact_detects_a_prescribed_surface_jump(device):
         assert model.sensor("touch.crossings")[0] == 1
         speeds.append(model.sensor("stone.linear_velocity")[0, 2])
     assert speeds[0] == speeds[1]
-    # Found 0.1 m deep at rest, but for what the plate moved meanwhile: thrown out at δ √(k/m).
+    # Contact starts at 0.1 m penetration at rest, except for the motion of the plate; ejected at δ √(k/m).
     np.testing.assert_allclose(speeds[0], 0.1 * np.sqrt(1e3), rtol=0.1)
 
 
 def test_contact_of_prescribed_and_fixed_body_has_finite_force(device):
-    """A law that divides by their mass gets a number."""
+    """Laws that divide by the effective mass get a finite value."""
     scene = wc.Scene(gravity=(0, 0, 0))
     post = scene.add_body(1.0, (1, 1, 1), motion=wc.motions.Fixed(), name="post")
     ram = scene.add_body(
@@ -230,7 +233,7 @@ def test_contact_of_prescribed_and_fixed_body_has_finite_force(device):
 
 
 def test_shaker_throws_ball_at_closed_form_time(device):
-    """z = −a cos ω t: a ω² cos ω t = −g, in each environment at its own time."""
+    """z = −a cos ω t: separation at a ω² cos ω t = −g, at a different time in each environment."""
     amplitude, frequency = 0.02, np.array([5.0, 6.0, 8.0])
     mass, stiffness, radius = 0.2, 2e6, 0.05
     scene = wc.Scene(gravity=(0, 0, -G))
@@ -258,8 +261,8 @@ def test_shaker_throws_ball_at_closed_form_time(device):
         atol=1e-14,
     )
     gone = recording.time.values[np.argmax(force == 0.0, axis=0)]
-    # The last of the spring's 2e-5 m takes a twentieth of its period of 2 ms.
+    # The last 2e-5 m of spring travel take a twentieth of its period of 2 ms.
     np.testing.assert_allclose(gone, np.arccos(-G / (amplitude * pace**2)) / pace, atol=2e-4)
-    # What rides along has the same velocity: the mean over the step.
+    # The ball has the velocity of the shaker: the mean over the step.
     riding = recording["touch.approach_speed"].sel(time=0.01, method="nearest").values
     assert (np.abs(riding) < 1e-3 * amplitude * pace).all()

@@ -1,4 +1,4 @@
-"""Laws that pull: friction under N and the pull-off force, and refusal by integrators of rigid contact."""
+"""Adhesive laws: friction with N plus the pull-off force, and rejection by nonsmooth integrators."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ F = wc.friction
 
 
 class JumpAtContact(wc.Law):
-    """N = k δ − F_a, with a pull-off force that the class states: twice F_a."""
+    """N = k δ − F_a, with a pull-off force of 2 F_a that the class declares."""
 
     pulls = True
 
@@ -32,7 +32,7 @@ class JumpAtContact(wc.Law):
 
 
 class Drag(wc.Friction):
-    """F = −N v, without a parameter."""
+    """F = −N v, without parameters."""
 
     @wp.func
     def force(p: Any, s: Any):
@@ -40,7 +40,7 @@ class Drag(wc.Friction):
 
 
 def sphere_in_overlap(law, friction, depth, device, **options):
-    """A sphere that slides at 3 m/s along x, at each of some depths [m]."""
+    """A sphere that slides at 3 m/s along x, at given penetrations [m]."""
     model = dropped_sphere(
         law, friction=friction, velocity=(3, 0, 0), envs=len(depth), device=device, precision="float64", **options
     )  # fmt: skip
@@ -57,17 +57,17 @@ def test_friction_of_an_adhesive_law_acts_on_normal_force_plus_pull_off_force(de
 
 
 def test_friction_with_history_holds_a_body_hanging_by_adhesion(device):
-    """A ball hangs below a ceiling; the side force that its friction holds is μ (F_p − m g)."""
+    """A ball hangs below a ceiling; friction holds a lateral force of up to μ (F_p − m g)."""
     scene = wc.Scene(gravity=(0.0, 0.0, -10.0))
     ceiling = scene.add_surface(wc.meshes.grid((1, 1)), flip=True)
-    # F_p = 4 k d₀ = 20 N; it hangs at 4 k (d₀ − δ) = 10 N.
+    # F_p = 4 k d₀ = 20 N; equilibrium at 4 k (d₀ − δ) = 10 N.
     box = scene.add_body(1.0, (0.01,) * 3, position=(0, 0, -0.05 + 2.5e-4), name="box")
     friction = F.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1e4, damping=100.0)
     material = wc.ContactMaterial(law=custom_law.Adhesive(stiffness=1e4, depth=5e-4), friction=friction)
     points = scene.add_points(box, [(x, y, 0.05) for x in (-0.04, 0.04) for y in (-0.04, 0.04)])
     scene.add_contact(points, ceiling, material, name="hold")
     model = scene.build(envs=2, device=device, precision="float64")
-    # The friction acts 50 mm above the centre of mass: the torque is that of the force on the points.
+    # Friction acts 50 mm above the center of mass, so its torque must be that of the forces at the points.
     limit = 0.5 * (20.0 - 10.0)
     model["box.external_force"] = [(0.9 * limit, 0, 0), (1.1 * limit, 0, 0)]
     model["box.external_torque"] = [(0, 0.05 * 0.9 * limit, 0), (0, 0.05 * 1.1 * limit, 0)]
@@ -109,7 +109,7 @@ def test_pull_off_with_other_arguments_is_refused():
     with pytest.raises(TypeError, match=r"Short.pull_off must take 2 arguments, \(coefficients, state\)"):
 
         class Short(custom_law.Adhesive):
-            """Lacks an argument."""
+            """Lacks a parameter in the signature."""
 
             @wp.func
             def pull_off(p: Any):

@@ -1,4 +1,4 @@
-"""Closest point, orientation, active part, boundaries: the sensor table and the worked numbers of SPEC 1."""
+"""Closest point, orientation, active faces, boundaries: the sensor table and hand values of SPEC 1."""
 
 import json
 
@@ -9,7 +9,7 @@ from scenes import oracle_law, probe, square
 import warpcontact as wc
 from warpcontact import ContactStatus
 
-# One float32 epsilon is 1.2e-7; positions of order one pass a rotation, a query and a rotation back.
+# One float32 epsilon is 1.2e-7; positions of order one pass a rotation, a query and the inverse rotation.
 LENGTH = 1.0e-6
 
 
@@ -18,7 +18,7 @@ def tetrahedron():
     return wc.Mesh(vertices, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], name="tetrahedron")
 
 
-# The worked numbers
+# Hand values of SPEC 1
 
 
 BODY_1 = {"position": (0.1, 0, 0.3), "linear_velocity": (0.4, -0.1, -0.5), "angular_velocity": (0, 1, 0.5)}
@@ -26,7 +26,7 @@ BODY_2 = {"position": (0, 0, -0.2), "linear_velocity": (0.05, 0, 0.02), "angular
 
 
 def oracle_model(mesh, point, precision, device, **contact):
-    """Two moving bodies; the surface is fixed to the second with its frame in the world's."""
+    """Two moving bodies. The surface is fixed to the second, with its frame given in the world."""
     scene = wc.Scene(gravity=(0, 0, 0))
     one = scene.add_body(1.0, (1, 1, 1), name="one", **BODY_1)
     two = scene.add_body(1.0, (1, 1, 1), name="two", **BODY_2)
@@ -47,8 +47,8 @@ PLANE_CASES = {
 }
 
 
-# float32: δ = 3e-3 is the difference of numbers of order 0.3, so it carries 3e-8/3e-3 = 1e-5 of relative error,
-# and every force is proportional to it.
+# In float32, δ = 3e-3 is a difference of numbers of order 0.3, with a relative error of 3e-8/3e-3 = 1e-5. Every
+# force is proportional to it.
 @pytest.mark.parametrize(("precision", "rtol"), [("float32", 4e-5), ("float64", 1e-9)])
 @pytest.mark.parametrize("case", PLANE_CASES)
 def test_point_on_plane_matches_reference(case, precision, rtol, shared, device):
@@ -91,7 +91,8 @@ def power_of_pair(model):
 
 def test_point_on_meshed_sphere_converges_to_reference(shared, device):
     oracle = json.loads((shared / "spec" / "oracle_contactps2.json").read_text())["point_sphere"]
-    # A facet of the fine icosphere (edge 0.02) lies up to h²/8 = 5e-5 inside; δ = 4e-3, so 1.5 % of the force.
+    # A facet of the fine icosphere (edge 0.02) is up to h²/8 = 5e-5 inside. With δ = 4e-3 that is 1.5 % of the
+    # force.
     direction = np.array([1.0, 2.0, 2.0]) / 3.0
     model = oracle_model(wc.meshes.icosphere(1.0, 6), 0.996 * direction, "float32", device)
     assert ContactStatus(model.sensor("touch.status")[0]) == ContactStatus.CONTACT
@@ -109,7 +110,7 @@ def test_contact_wrenches_cancel_about_any_point(device):
         model.sensor("one.torque")[0] + np.cross(r1, f1),
         model.sensor("two.torque")[0] + np.cross(r2, f2),
     ]
-    # The moments are of order 100 N·m: a few float32 roundings of that.
+    # The moments are of order 100 N·m; the bound is a few float32 roundings.
     assert np.abs(sum(moments)).max() < 1e-4
 
 
@@ -141,7 +142,7 @@ def test_penetrating_point_has_expected_gap_and_normal(device):
 
 
 def test_inactive_faces_have_distance_but_no_force(device):
-    # The upper left triangle is hidden; the whole surface is searched, so the point above it finds it hidden.
+    # The upper left triangle is inactive. The search covers all faces, so the point above it gets status INACTIVE.
     positions = [(-0.5, 0.5, -0.01), (-0.5, 0.5, 0.3), (0.5, -0.5, -0.01)]
     sensors = probe(square(), positions, active_faces=[0], device=device)
     assert sensors["status"].tolist() == [ContactStatus.INACTIVE, ContactStatus.INACTIVE, ContactStatus.CONTACT]
@@ -159,7 +160,8 @@ def test_edge_shared_with_an_active_face_is_active(device):
 
 
 def test_search_active_returns_nearest_point_of_the_active_part(device):
-    # Over the hidden triangle, 0.1 beside the diagonal: the nearest active point is on the diagonal, a boundary.
+    # Over the inactive triangle, 0.1 from the diagonal: the nearest active point is on the diagonal, which is a
+    # boundary.
     beside = (-0.1 / np.sqrt(2), 0.1 / np.sqrt(2), 0.05)
     for boundary, status in (("off", ContactStatus.OPEN), ("outer", ContactStatus.CONTACT)):
         sensors = probe(
@@ -220,7 +222,7 @@ def test_gap_sign_is_correct_inside_and_outside_a_cube(device):
 
 
 def test_gap_sign_is_correct_far_from_a_tetrahedron(device):
-    """Where Warp's own sign_normal fails."""
+    """Positions for which Warp's ``sign_normal`` is wrong."""
     rng = np.random.default_rng(2)
     directions = rng.normal(size=(20000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -252,7 +254,7 @@ def test_normal_at_concave_edge_points_out_of_the_material(device):
 def test_point_beyond_the_boundary_is_open(device):
     positions = [(1.1, 0.0, -0.01), (1.0 + 1e-5, 0.0, -0.01), (0.999, 0.0, -0.01), (1.1, 1.1, -0.01)]
     sensors = probe(square(), positions, device=device)
-    # 1e-5 beside a boundary of length 2 is within the tolerance of 1e-4 of the edge.
+    # 1e-5 outside a boundary of length 2 is within the tolerance of 1e-4 of the edge.
     assert sensors["status"].tolist() == [
         ContactStatus.OPEN,
         ContactStatus.CONTACT,
@@ -306,10 +308,10 @@ def test_contact_normal_is_continuous_while_sphere_rolls_over_an_edge(device):
     z = 0.5 + 0.05 * np.cos(turn) - np.where(angle > np.pi / 2, along, 0.0)
     sensors = probe(cube, np.stack([x, 0 * x, z], axis=1), radius=0.06, device=device)
     assert (sensors["status"] == ContactStatus.CONTACT).all()
-    # All at the same depth, and no step of the normal larger than the step of the angle.
+    # The gap is constant, and the normal never turns by more than the path.
     np.testing.assert_allclose(sensors["gap"], -0.01, atol=LENGTH)
     steps = np.linalg.norm(np.diff(sensors["normal"], axis=0), axis=1)
-    # At an edge the direction of a 0.05 m arm carries 1e-7/0.05 of rounding.
+    # At an edge, the direction over a distance of 0.05 m has a rounding error of 1e-7/0.05.
     assert steps.max() <= np.diff(angle).max() + 1e-5
 
 
@@ -320,14 +322,14 @@ def test_surface_moves_with_its_body(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     turned = np.sin(np.pi / 4)
     plate = scene.add_body(1.0, (1, 1, 1), position=(5, 0, 0), orientation=(0, turned, 0, turned), name="plate")
-    # The body is turned by 90° about y: its z axis points along x of the world.
+    # The body is rotated by 90° about y: its z axis is the x axis of the world.
     surface = scene.add_surface(square(), plate, position=(0, 0, 0.5), name="surface")
     point = scene.add_point(None, (5.49, 0.1, 0.2))
     scene.add_contact(point, surface, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
     model = scene.build(device=device)
     np.testing.assert_allclose(model.sensor("touch.gap"), -0.01, atol=2 * LENGTH)
     np.testing.assert_allclose(model.sensor("touch.normal")[0], (1, 0, 0), atol=LENGTH)
-    # The force acts on the plate alone: the point is fixed to the world.
+    # The reaction acts on the plate only, because the point is fixed to the world.
     np.testing.assert_allclose(model.sensor("plate.force")[0], (-100, 0, 0), atol=0.05)
 
 
@@ -342,7 +344,7 @@ def test_surface_pose_can_differ_between_environments(device):
     np.testing.assert_allclose(model.sensor("touch.gap"), [1.0, 0.5, 2.0], atol=LENGTH)
 
 
-# Entry from the wrong side
+# Contacts that begin on the inner side
 
 
 def latched(entry, z0, velocity, device, steps=200, **options):
@@ -372,12 +374,13 @@ def test_latched_entry_lets_point_from_the_inner_side_pass(device):
 
 def test_latched_entry_stops_point_from_the_outer_side(device):
     sim = latched("latched", 0.05, (0, 0, -1.0), device)
-    # Back out with the speed it came with, up to where in a step the contact ends: (ω dt)²/8 = 1.3e-3.
+    # The rebound speed equals the impact speed, up to the phase of the step at which contact ends: (ω dt)²/8 =
+    # 1.3e-3.
     np.testing.assert_allclose(sim.model.sensor("body.linear_velocity")[0, 2], 1.0, rtol=2e-3)
 
 
 def test_latch_opens_below_max_depth_and_closes_outside(device):
-    # Too fast to be stopped within 20 mm: passes, and is not pushed out of the other side again.
+    # Too fast to stop within 20 mm: it passes through, without a force towards the other side.
     sim = latched("latched", 0.05, (0, 0, -5.0), device, max_depth=0.02, steps=100)
     assert sim.model.sensor("touch.status")[0] == ContactStatus.WRONG_SIDE
     speed = sim.model.sensor("body.linear_velocity")[0, 2]

@@ -1,4 +1,4 @@
-"""The whole step against closed forms: rest, rolling, sliding, creeping, spinning, conservation."""
+"""Complete steps against closed forms: rest, rolling, sliding, creeping, spinning, conservation."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def test_free_fall_matches_the_scheme(device):
     )
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(1000)
-    # Semi-implicit Euler falls ½ g t² (1 + dt/t); 1000 additions of 1e-2 to 10 in float32 lose some 1e-4.
+    # Semi-implicit Euler falls by ½ g t² (1 + dt/t). 1000 additions of 1e-2 to 10 in float32 lose about 1e-4.
     np.testing.assert_allclose(
         model.sensor("ball.position")[0], (1.0, 0.0, 10.1 - 0.5 * G * 1.001), rtol=1e-5, atol=2e-4
     )
@@ -32,8 +32,8 @@ def test_static_penetration_is_weight_over_stiffness(device):
     model["ball.mass"] = mass
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(2000)
-    # float32 loses a displacement dt v below half a digit of 0.1, 3.7e-9 m. The last speed, 3.7e-6 m/s, leaves
-    # a dashpot force of 3.7e-4 N, or 3.7e-8 m; rounding of the position itself adds a digit.
+    # float32 loses a displacement dt v below half a digit of 0.1, 3.7e-9 m. The last speed, 3.7e-6 m/s, leaves a
+    # dashpot force of 3.7e-4 N, or 3.7e-8 m. The rounding of the position adds one digit.
     np.testing.assert_allclose(model.sensor("touch.penetration"), mass * G / 1e4, atol=5e-8)
     np.testing.assert_allclose(model.sensor("ball.position")[:, 2], 0.1 - mass * G / 1e4, atol=5e-8)
 
@@ -48,7 +48,7 @@ def test_static_penetration_of_body_on_four_points_matches_reference(device):
     scene.add_contact(legs, ground, wc.ContactMaterial(law=law), name="touch")
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=1e-4).step(10000)
-    # Ten digits are printed; a second is some 30 time constants of the damping at rest.
+    # The reference has ten digits. One second is about 30 time constants of the damping at rest.
     np.testing.assert_allclose(model.sensor("touch.penetration")[0], 2.886861893e-4, rtol=1e-9)
 
 
@@ -63,7 +63,7 @@ def test_sliding_sphere_rolls_at_five_sevenths_of_its_speed(device):
     recording = sim.run(1.0, ["ball.linear_velocity", "ball.position"], every=2e-3)
     speed = recording["ball.linear_velocity"].sel(axis="x").values[:, 0]
     np.testing.assert_allclose(speed[-1], 15 / 7, rtol=1e-3)
-    # On the way it slows down at μ g until t = 2 v₀/(7 μ g).
+    # Deceleration is μ g until t = 2 v₀/(7 μ g).
     half = recording.time.values <= 0.4
     np.testing.assert_allclose(speed[half], 3.0 - 0.2 * G * recording.time.values[half], rtol=1e-3)
     where = recording["ball.position"].interp(time=0.4368719965).sel(axis="x").values[0]
@@ -71,7 +71,7 @@ def test_sliding_sphere_rolls_at_five_sevenths_of_its_speed(device):
 
 
 def block_on_incline(slope, mu, velocity_scale, device):
-    """A block on four points, on a slope made by turning gravity."""
+    """A block on four points, on a slope made by tilted gravity."""
     scene = wc.Scene(gravity=(G * np.sin(slope), 0, -G * np.cos(slope)))
     ground = scene.add_surface(square(20.0))
     half, height = 0.2, 0.05
@@ -102,7 +102,7 @@ def test_block_creeps_as_tanh_friction_predicts(device):
     wc.Simulation(model, dt=2e-4).step(5000)
     speed = model.sensor("block.linear_velocity")[0, 0]
     np.testing.assert_allclose(creep_speed(slope, 0.3, 0.01), 6.742317056e-3, rtol=1e-9)
-    # The block tips about its feet by some microradians: their normal forces, not their sum, differ.
+    # The block tips by some microradians: the normal forces of its four points differ, but not their sum.
     np.testing.assert_allclose(speed, creep_speed(slope, 0.3, 0.01), rtol=2e-3)
 
 
@@ -115,7 +115,7 @@ def test_oblique_impact_of_a_sphere_matches_rigid_body_theory(mu, tangential, ex
     model = dropped_sphere(
         wc.laws.HuntCrossley(stiffness=1e6, restitution=0.7),
         friction=wc.friction.RegularizedCoulomb(mu=mu, velocity_scale=1e-3),
-        # The force at the deepest point: its lever is the radius, as in the rigid oracle.
+        # The force at the deepest point has the radius as its lever arm, as in the rigid oracle.
         radius=0.05, height=1e-4, velocity=(tangential, 0, -2.0), kappa=1.0, device=device,
     )  # fmt: skip
     wc.Simulation(model, dt=1e-5).step(3000)
@@ -134,7 +134,8 @@ def spinning(inertia, omega, device, precision="float32", orientation=(0, 0, 0, 
 
 
 def test_free_symmetric_top_precesses_at_closed_form_rate(device):
-    # FORCE_LAWS G15: I = (0.02, 0.02, 0.035), ω = (2, 0, 30) in the body: the axis turns about L at 52.538 rad/s.
+    # FORCE_LAWS G15: I = (0.02, 0.02, 0.035), ω = (2, 0, 30) in the body: the axis precesses about L at 52.538
+    # rad/s.
     model = spinning((0.02, 0.02, 0.035), (2.0, 0.0, 30.0), device, "float64")
     momentum = model.sensor("top.angular_momentum")[0] - np.cross(
         model.sensor("top.position")[0], model.sensor("top.linear_momentum")[0]
@@ -145,7 +146,7 @@ def test_free_symmetric_top_precesses_at_closed_form_rate(device):
     sim.step(steps)
     x, y, z, w = model.sensor("top.orientation")[0]
     axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-    # After one turn about L the axis is back.
+    # After one revolution about L the axis has its initial direction.
     np.testing.assert_allclose(axis, (0, 0, 1), atol=1e-5)
     cosine = momentum @ (0, 0, 1) / np.linalg.norm(momentum)
     np.testing.assert_allclose(np.degrees(np.arccos(cosine)), 2.181641404, rtol=1e-7)
@@ -175,7 +176,7 @@ def test_free_bodies_conserve_momentum(precision, tolerance, device):
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(2000)
     np.testing.assert_array_equal(model.sensor("top.linear_momentum")[0], before["linear_momentum"])
-    # 2000 roundings of a momentum of size 10 in a random walk, with inertias up to 3: 10 ε √2000 · 3.
+    # 2000 roundings of a momentum of size 10 as a random walk, with inertias up to 3: 10 ε √2000 · 3.
     np.testing.assert_allclose(
         model.sensor("top.angular_momentum")[0], before["angular_momentum"], atol=10 * tolerance
     )
@@ -194,7 +195,7 @@ def test_energy_of_a_free_body_converges_at_second_order(device):
 
 
 def test_bounce_height_converges_at_first_order(device):
-    """Height after a damped bounce against a reference with a much finer step."""
+    """Height after a damped bounce, against a reference with a much smaller step."""
 
     def height(dt):
         model = dropped_sphere(
@@ -207,7 +208,8 @@ def test_bounce_height_converges_at_first_order(device):
 
     reference = height(1.25e-6)
     coarse, fine = (abs(height(dt) - reference) for dt in (2e-4, 2.5e-5))
-    # Eight times finer: between four and sixteen times better, the entry phase being a matter of luck.
+    # With a step eight times smaller, the error falls by four to sixteen, because the phase of the first contact
+    # is arbitrary.
     assert 4 < coarse / fine < 16
     assert fine < 1e-4
 
@@ -230,6 +232,6 @@ def test_contact_of_two_bodies_conserves_momentum(device):
     recording = sim.run(0.3, ["touch.normal_force"], every=1e-3)
     assert recording["touch.normal_force"].max() > 100
     np.testing.assert_allclose(model.sensor("scene.linear_momentum"), linear, atol=1e-13)
-    # Positions advance with the new velocities, so x⁺ × v⁺ = x × v⁺: nothing is lost to the step.
+    # Positions advance with the new velocities, so x⁺ × v⁺ = x × v⁺: a step conserves angular momentum.
     np.testing.assert_allclose(model.sensor("scene.angular_momentum"), angular, atol=1e-13)
     assert model.sensor("scene.kinetic_energy")[0] < energy[0]

@@ -1,4 +1,4 @@
-"""Gap, sign and normal where rounding is dangerous: edges, thin triangles, blades, a misled query."""
+"""Gap, sign and normal in cases prone to rounding: edges, thin triangles, blades, wrong faces from the query."""
 
 import numpy as np
 import pytest
@@ -14,22 +14,23 @@ def box_distance(points, size):
     return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
 
 
-# The coordinates are of order one: a few float32 roundings of them, or of float64 ones.
+# Coordinates are of order one; the bounds are a few roundings in float32 and float64.
 PRECISIONS = pytest.mark.parametrize(("precision", "exact"), [("float32", 5e-7), ("float64", 1e-15)])
 
 
 @PRECISIONS
 def test_contact_normal_is_face_normal_up_to_the_edge(precision, exact, device):
     cube = wc.meshes.box((1.0, 1.0, 1.0))
-    # Towards the edge, over the face: the edge is as near to first order, and must not be taken.
+    # Points above the face that approach the edge. The edge is equally near to first order, but must not be
+    # selected.
     x = 0.5 - np.geomspace(1e-6, 0.1, 200)
     for face_order in (np.arange(12), np.arange(12)[::-1]):
         mesh = wc.Mesh(cube.vertices, cube.faces[face_order])
         for height in (0.005, 0.05, 0.5):
             points = np.stack([x, 0.1234 + 0 * x, 0.5 + height + 0 * x], axis=1)
             sensors = probe(mesh, points, radius=1.2 * height, device=device, precision=precision)
-            # Where a difference of coordinates is rounding, the edge may be taken: its direction is off by
-            # √(2 tie/height) at most.
+            # If a difference of coordinates is below rounding, the edge may be selected. The normal is then off by
+            # at most √(2 tie/height).
             sure = 0.5 - x > np.sqrt(20 * exact * height)
             np.testing.assert_allclose(sensors["normal"][sure], np.tile((0, 0, 1), (sure.sum(), 1)), atol=exact)
             np.testing.assert_allclose(sensors["gap"], -0.2 * height, atol=exact)
@@ -58,7 +59,7 @@ def test_thin_triangles_keep_gap_precision(strips, precision, exact, device):
     sensors = probe(floor, points, device=device, precision=precision)
     np.testing.assert_allclose(sensors["gap"], -depth, atol=exact)
     assert (sensors["status"] == ContactStatus.CONTACT).all()
-    # Depths of 1e-6 in coordinates of 0.5 leave six digits less for a direction across an edge.
+    # Penetrations of 1e-6 at coordinates of 0.5 leave six digits less for a normal at an edge.
     deep = depth > 1e-4
     np.testing.assert_allclose(sensors["normal"][deep], np.tile((0, 0, 1), (deep.sum(), 1)), atol=2e-3)
 
@@ -71,12 +72,12 @@ def test_thin_blade_distinguishes_both_sides(thickness, precision, exact, device
     rng = np.random.default_rng(4)
     points = rng.uniform(-0.7, 0.7, (4000, 3))
     points[:2000, 2] *= 3 * thickness  # near the blade
-    points[2000:2500, 0] = 0.5 + rng.normal(size=500) * 1e-5  # near its rim
+    points[2000:2500, 0] = 0.5 + rng.normal(size=500) * 1e-5  # near its edges
     expected = box_distance(points, size)
     for radius in (0.0, 0.3):
         sensors = probe(blade, points, radius=radius, device=device, precision=precision)
-        # Rounding decides which side is nearer at the middle of the blade; the distance is the same. Off contact
-        # too: where the float32 query may name a wrong face, its choice is looked at again.
+        # At the middle of the blade, rounding decides which side is nearer; the distance is the same. The result
+        # is also exact without contact: if the float32 query may return a wrong face, it is refined.
         np.testing.assert_allclose(sensors["gap"] + radius, expected, atol=exact)
 
 
@@ -94,7 +95,7 @@ def test_gap_sign_is_correct_for_rounding_sensitive_points(device):
 
 
 def test_contact_is_detected_if_float32_query_returns_wrong_face(device):
-    """A cylinder of 2000 sides: its facets are so thin that the float32 query confuses them."""
+    """A cylinder of 2000 sides: its facets are so thin that the float32 query returns wrong ones."""
     sides = 2000
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -104,7 +105,7 @@ def test_contact_is_detected_if_float32_query_returns_wrong_face(device):
     pipe = wc.Mesh(vertices, faces)
     rng = np.random.default_rng(6)
     turn = rng.uniform(0, 2 * np.pi, 3000)
-    # The distance from a facet, along the direction to its middle.
+    # The distance from a facet, along the normal at its center.
     middle = (np.floor(turn / (2 * np.pi) * sides) + 0.5) * 2 * np.pi / sides
     depth = np.geomspace(1e-9, 1e-4, 3000)
     reach = np.cos(np.pi / sides) / np.cos(turn - middle)
@@ -114,7 +115,7 @@ def test_contact_is_detected_if_float32_query_returns_wrong_face(device):
     )
     sensors = probe(pipe, points, device=device, precision="float64")
     assert (sensors["status"] == ContactStatus.CONTACT).all()
-    # To the nearest facet it is at most as deep as to this one.
+    # The penetration relative to the nearest facet is at most that relative to this one.
     assert (sensors["penetration"] <= depth + 1e-15).all()
     np.testing.assert_allclose(sensors["penetration"], depth, atol=1e-6)
 

@@ -1,4 +1,4 @@
-"""Sensors of a contact: their values at each status, as the documentation has them, and the alias ``delta``."""
+"""Sensors of a contact: values for each status match the table of the documentation, and the alias ``delta``."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from warpcontact.usd.coloring import named_number
 DOCS = Path(__file__).parents[3] / "docs" / "contact.md"
 RADIUS, REACH, DEPTH = 0.1, 0.5, 0.05
 VELOCITY = np.array([0.3, 0.0, -0.5])
-# Over the active half of a square, outside of it, in contact, over the inactive half, far, too deep, disabled.
+# Above the active half of a square, outside of it, in contact, above the inactive half, far, too deep, disabled.
 PLACES = [
     (0.5, -0.5, 0.15),
     (1.08, -0.5, 0.05),
@@ -49,7 +49,7 @@ def model(device):
 
 
 def documented():
-    """Returns the table of the documentation: a cell by sensor and column."""
+    """The table of the documentation: cells by sensor and column."""
     lines = DOCS.read_text(encoding="utf-8").splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("| sensor |"))
     head, _, *rows = [
@@ -60,7 +60,7 @@ def documented():
 
 
 def meaning(place):
-    """Returns what the cells of the table stand for, for a sphere above the plane z = 0."""
+    """Returns the values of the cells of the table, for a sphere above the plane z = 0."""
     S = np.array([min(place[0], 1.0), place[1], 0.0])
     s, d = place[2], np.linalg.norm(place - S)
     n = (place - S) / d

@@ -1,4 +1,4 @@
-"""Scenes that would give nonsense are warned about before the first step."""
+"""Warnings before the first step about scenes with inaccurate or unstable contacts."""
 
 import re
 import warnings
@@ -63,7 +63,7 @@ def test_contact_warning_location_is_the_caller_of_step(step, device):
 
 
 def warnings_of_first_step(sim, match):
-    """Returns what the first step of a simulation warns about, as far as it matches."""
+    """Returns the warnings of the first step of a simulation that match."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         sim.step()
@@ -72,7 +72,9 @@ def warnings_of_first_step(sim, match):
 
 @pytest.mark.parametrize("scale", [1.0, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_contact_duration_estimate_shares_mass_among_simultaneous_points(scale, device):
-    """A box that falls flat on the points of its largest side: as long as a bed of their areas takes."""
+    """A box that lands flat on the points of its largest side has the contact duration of a foundation of their
+    areas.
+    """
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(5.0), name="ground")
     box = scene.add_body(2.0, [1.0] * 3, (0, 0, 0.06 * scale), linear_velocity=(0, 0, -2), name="box")
@@ -84,7 +86,7 @@ def test_contact_duration_estimate_shares_mass_among_simultaneous_points(scale, 
     (found,) = warnings_of_first_step(
         wc.Simulation(model, dt=exact / 19), r"touch: dt = .* a contact lasts (\S+) s"
     )
-    # Points of the sides come on top, down to the 8 mm or 4 mm that it sinks.
+    # Points of the lateral sides are in contact as well, within the maximum penetration of 8 mm or 4 mm.
     assert 0.8 * exact < float(found.group(1)) < 1.01 * exact
     model.reset()
     recording = wc.Simulation(model, dt=exact / 500).run(0.02 * scale, ["touch.status"])
@@ -93,7 +95,7 @@ def test_contact_duration_estimate_shares_mass_among_simultaneous_points(scale, 
 
 
 def test_contact_duration_estimate_ignores_points_outside_the_contact_area(device):
-    """A ball on the points of a floor a hundred times as wide: of them, as many as it is wide."""
+    """A ball on points of a floor that is a hundred times as wide: only points within the width of the ball count."""
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(wc.meshes.grid((10.0, 10.0)), name="ground")
     ball = scene.add_body(1.0, [1.0] * 3, (0, 0, 0.06), name="ball")
@@ -101,8 +103,8 @@ def test_contact_duration_estimate_ignores_points_outside_the_contact_area(devic
     bed = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e8))
     scene.add_contact(scene.add_points(ground, wc.sample_surface(ground.mesh, 2000)), skin, bed, name="touch")
     model = scene.build(device=device)
-    (found,) = warnings_of_first_step(wc.Simulation(model, dt=1e-2), r"a contact lasts (\S+) s")
-    # One point stands for 500 cm²; the ball covers at most 0.1 m × 0.1 m or as much as that.
+    (found,) = warnings_of_first_step(wc.Simulation(model, dt=1e-2), r"a contact takes (\S+) s")
+    # A point has an area weight of 500 cm², but the ball covers at most 0.1 m × 0.1 m.
     assert float(found.group(1)) > 0.9 * np.pi * np.sqrt(1.0 / (1e8 * 0.1))
 
 
@@ -130,7 +132,7 @@ def test_swept_contact_warns_if_max_depth_is_smaller_than_distance_per_step(radi
     sim = wc.Simulation(model, dt=1e-2)
     assert warnings_of_first_step(sim, match)
     sim.step(30)
-    # And so it is.
+    # The ball does fall through.
     assert model.sensor("ball.linear_velocity")[1, 2] < 0
     model["touch.max_depth"] = 0.5
     model.reset()
@@ -185,7 +187,7 @@ LONG_STEPS = [
 
 @pytest.mark.parametrize(("parts", "limit"), LONG_STEPS)
 def test_step_above_friction_limit_warns_with_time_step_limit(parts, limit, device):
-    """Limits of a solid sphere of 1 kg and 0.1 m under its weight: m_t = 2/7 m in slip, 2/5 m in rolling."""
+    """Limits for a solid sphere of 1 kg and 0.1 m under its weight: m_t = 2/7 m in slip, 2/5 m in rolling."""
     part, friction = next(iter(parts.items()))
     scene = wc.Scene()
     ground = scene.add_surface(square(), name="ground")
@@ -205,7 +207,7 @@ def test_step_above_friction_limit_warns_with_time_step_limit(parts, limit, devi
 
 
 def two_balls(gap, device):
-    """Two balls of a pile and a heavy one, with two shapes each."""
+    """Two particles and a heavy one, with two shapes each."""
     scene = wc.Scene(gravity=(0, 0, 0))
     shapes = []
     for number, (mass, x) in enumerate([(1.0, 0.0), (3.0, 0.2 + gap), (1000.0, 5.0)]):
@@ -216,8 +218,8 @@ def two_balls(gap, device):
 
 
 def test_particle_contact_warns_of_too_long_step_and_deep_initial_overlap(device):
-    """Of the two lightest bodies, 0.75 kg: π √(m/k) is 27.2 ms; ½ k δ² = ½ m v² with δ = 0.1 m is 11.5 m/s."""
-    text = r"pile: dt = 0.003 s is too long: .* 0.027 s in environment 0, 9.1 steps. Use dt ≤ 0.0027 s for 10"
+    """For the two lightest bodies of 0.75 kg: π √(m/k) = 27.2 ms; ½ k δ² = ½ m v² with δ = 0.1 m gives 11.5 m/s."""
+    text = r"pile: dt = 0.003 s is too long: .* 0.027 s in environment 0, 9.1 steps; take dt ≤ 0.0027 s for 10"
     assert len(warnings_of_first_step(wc.Simulation(two_balls(0.01, device), dt=3e-3), text)) == 1
     assert warnings_of_first_step(wc.Simulation(two_balls(0.01, device), dt=2.7e-3), ".*") == []
     messages = warnings_of_first_step(wc.Simulation(two_balls(-0.1, device), dt=1e-3), ".*")

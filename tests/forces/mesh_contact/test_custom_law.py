@@ -1,4 +1,4 @@
-"""A law defined outside the package runs like one of the catalogue."""
+"""Custom laws, defined outside of the package, work like those of the library."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ def test_custom_law_bounces_elastically(precision, device):
     recording = wc.Simulation(model, dt=1e-4).run(0.6, ["ball.position"], every=1e-3)
     height = recording["ball.position"].sel(axis="z") - 0.1
     second = height.where(height.time > 0.3).max("time")
-    # Less the time spent on the ground, nothing is lost: first-order scheme, 100 and more steps a contact.
+    # Except for the time in contact, no energy is lost: first-order scheme with at least 100 steps per contact.
     np.testing.assert_allclose(second, 0.3, rtol=2e-3)
 
 
@@ -47,7 +47,7 @@ def test_law_parameter_without_unit_is_refused():
     with pytest.raises(TypeError, match=r"Bare\.k must be declared with wc\.parameter"):
 
         class Bare(wc.Law):
-            """A plain default."""
+            """A default that is a plain number."""
 
             k: float = 3.0
 
@@ -66,7 +66,7 @@ def test_law_parameter_of_unsupported_type_is_refused(base, shape, message):
     with pytest.raises(TypeError, match=rf"Wide\.sizes: {message}"):
 
         class Wide(base):
-            """Of several numbers."""
+            """A parameter with several components."""
 
             sizes: tuple[float, ...] = wc.parameter("m", "sizes", shape=shape)
 

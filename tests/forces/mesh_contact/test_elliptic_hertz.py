@@ -1,4 +1,4 @@
-"""Hertz contact with the stiffness of the place: elliptic integrals on the device, and the law that uses them."""
+"""Hertz contact with the stiffness of the local curvatures: elliptic integrals on the device, and the law."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ STEEL = wc.laws.HertzElastic.from_materials(E=210e9, nu=0.3, E2=70e9, nu2=0.33)
 
 
 def device_stiffness(curvature_1, curvature_2, real, device):
-    """Returns K/E* of pairs of curvatures, as the law computes it."""
+    """Returns K/E* for pairs of curvatures, as computed by the law."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def each(first: wp.array(dtype=real), second: wp.array(dtype=real), out: wp.array(dtype=real)):
@@ -27,12 +27,12 @@ def device_stiffness(curvature_1, curvature_2, real, device):
     return first.numpy().astype(float), second.numpy().astype(float), out.numpy()
 
 
-# Of 5 steps of Newton's method, and a few roundings of the mean; float32 has 6e-8 and logarithms of 1e6 in it.
+# Error of 5 Newton steps and a few roundings of the mean. float32 rounds to 6e-8 and evaluates logarithms of 1e6.
 @pytest.mark.parametrize(("real", "tolerance"), [(wp.float64, 1e-12), (wp.float32, 2e-6)])
 def test_elliptic_hertz_stiffness_matches_closed_form(real, tolerance, device):
     quotient = np.concatenate([[1.0, 1.0 + 1e-12, 1.0 + 1e-7], np.geomspace(1.0 + 1e-6, 0.999e6, 150)])
     first, second, stiffness = device_stiffness(np.full(len(quotient), 3.0), 3.0 * quotient, real, device)
-    # E* = 1 of a body with E = 1 and ν = 0 on a rigid one.
+    # E* = 1 for a body with E = 1 and ν = 0 on a rigid one.
     exact = [elliptic_stiffness(1.0, 0.0, 1.0 / a, 1.0 / b) for a, b in zip(first, second, strict=True)]
     np.testing.assert_allclose(stiffness, exact, rtol=tolerance)
 
@@ -42,14 +42,16 @@ def test_elliptic_hertz_stiffness_has_correct_limits(device):
     first = np.array([0.0, -2.0, 5e-6, 0.0, 1.0, -1.0, np.nan])
     second = np.array([5.0, 5.0, 5.0, 0.0, inf, -1.0, 1.0])
     _, _, stiffness = device_stiffness(first, second, wp.float64, device)
-    # What is longer than the longest ellipse counts as that, ...
+    # Ellipses longer than the limit count as the limit, ...
     np.testing.assert_allclose(stiffness[:3], elliptic_stiffness(1.0, 0.0, 2e5, 0.2), rtol=1e-9)
-    # ... and what has no finite radius is not a number, so that it is not taken for no force.
+    # ... and non-finite curvatures give NaN, so that they are not mistaken for zero force.
     assert np.isnan(stiffness[3:]).all()
 
 
 def test_elliptic_hertz_stiffness_matches_published_crossed_cylinders(device):
-    """Crossed at right angles, cylinders of equal radius touch like a sphere of that radius on a plane."""
+    """Cylinders of equal radius, crossed at right angles, have the stiffness of a sphere of that radius on a
+    plane.
+    """
     _, _, stiffness = device_stiffness(np.array([20.0]), np.array([20.0]), wp.float64, device)
     np.testing.assert_allclose(
         STEEL.modulus * stiffness, hertz_stiffness(210e9, 0.3, 0.05, 70e9, 0.33), rtol=1e-14
@@ -60,13 +62,13 @@ def test_elliptic_hertz_stiffness_matches_published_crossed_cylinders(device):
 def test_elliptic_hertz_sphere_on_mesh_uses_its_radius(precision, tolerance, device):
     depth = 2.0**-10  # exact in both precisions
     model = dropped_sphere(STEEL, radius=0.125, height=-depth, envs=2, precision=precision, device=device)
-    # The radius of every environment counts; the centre stays where it is.
+    # The radius of each environment applies; the center is the same.
     model["touch.radius"] = [0.125, 0.125 + depth]
     expected = [
         hertz_stiffness(210e9, 0.3, r, 70e9, 0.33) * d**1.5
         for r, d in ((0.125, depth), (0.125 + depth, 2 * depth))
     ]
-    # The ball comes at 1 m/s, and an elastic contact does not mind.
+    # The ball approaches at 1 m/s, which does not change an elastic force.
     np.testing.assert_allclose(model.sensor("touch.normal_force"), expected, rtol=tolerance)
 
 

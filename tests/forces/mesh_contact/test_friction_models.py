@@ -1,4 +1,4 @@
-"""Friction models through the whole engine: cone, opposition, curves, creep."""
+"""Friction models in complete steps: cone, opposition to slip, curves, creep."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ F = wc.friction
 PAIR = {"mu_static": 0.5, "mu_dynamic": 0.3}
 SCALE = 0.01
 
-# model, largest coefficient, what it is at a slip speed s by an independent formula
+# Model, largest coefficient, coefficient at slip speed s by an independent formula.
 SAMPLES = [
     (F.Frictionless(), 0.0, lambda s: 0 * s),
     (F.Viscous(drag=0.1), np.inf, lambda s: 0.1 * s),
@@ -74,7 +74,7 @@ def name_of(sample):
 
 
 def sliding(friction, velocity, device, precision="float32"):
-    """Friction force and normal force of a sphere pressed into a plate, one environment per velocity (n, 2)."""
+    """Friction force and normal force of a sphere pressed onto a plate, one environment per velocity (n, 2)."""
     envs = len(velocity)
     law = wc.laws.Hooke(stiffness=1e4)
     model = dropped_sphere(law, friction=friction, height=-1e-3, envs=envs, device=device, precision=precision)
@@ -83,7 +83,7 @@ def sliding(friction, velocity, device, precision="float32"):
 
 
 def test_samples_cover_the_catalogue():
-    """But for the models that remember, which are in test_memory.py."""
+    """Except for models with history, which are in test_history.py."""
     assert [type(friction) for friction, _, _ in SAMPLES] == [one for one in F.CATALOGUE if not one.memories]
 
 
@@ -108,7 +108,7 @@ def test_friction_in_float32_matches_float64(sample, device):
     velocity = np.column_stack([np.logspace(-5, 1, 50) * 1.01, np.zeros(50)])
     one, normal = sliding(sample[0], velocity, device)
     other, _ = sliding(sample[0], velocity, device, "float64")
-    # N from a depth of 1e-3 at a height of 0.1: 7e-6; exponents of large numbers lose digits more.
+    # N at a penetration of 1e-3 and a height of 0.1 has an error of 7e-6; exponents of large numbers add more.
     np.testing.assert_allclose(one, other, rtol=5e-5, atol=1e-5 * normal.max())
 
 
@@ -122,7 +122,7 @@ def test_elliptic_friction_lies_on_its_ellipse_and_maximizes_dissipation(turn, d
     rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     along = force[:, :2] @ rotation.T / normal[:, None] / (0.5, 0.1)
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0, rtol=1e-9)
-    # Of all forces on the ellipse, none takes more power.
+    # No other force on the ellipse dissipates more power.
     angle = np.linspace(0, 2 * np.pi, 721)
     others = (np.column_stack([0.5 * np.cos(angle), 0.1 * np.sin(angle)]) @ rotation) * normal[0]
     power = np.einsum("ij,ij->i", force[:, :2], velocity)
@@ -148,7 +148,7 @@ def test_regularized_friction_creeps_at_closed_form_speed(friction, speed, devic
     scene.add_contact(feet, ground, wc.ContactMaterial(law=law, friction=friction))
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=2e-4).step(5000)
-    # The feet share the load unevenly, by height/width of the block: second order in 0.1.
+    # The points share the load unevenly, by height/width of the block: second order in 0.1.
     np.testing.assert_allclose(model.sensor("block.linear_velocity")[0, 0], speed, rtol=2e-3)
 
 

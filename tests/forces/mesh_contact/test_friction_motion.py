@@ -1,4 +1,4 @@
-"""Motion under friction: stiction, sliding, stick–slip and presliding against closed forms and ODEs."""
+"""Motion with friction: stiction, sliding, stick–slip and presliding against closed forms and ODEs."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ LOAD = 1e5  # N/m, of the plate
 def resting_block(
     friction, *, gravity=(0.0, 0.0, -G), speed=0.0, envs=1, device="cpu", precision="float64", **scene
 ):
-    """A point of 1 kg that cannot turn, at rest on a plate in the weight's z component, sliding along x.
+    """A 1 kg point without rotation, in equilibrium on a plate under the normal weight, sliding along x.
 
     ``springs``: linear springs of that stiffness to x = 0; ``wall``: a spring whose end moves at that speed.
     """
@@ -29,7 +29,7 @@ def resting_block(
     made.add_contact(point, plate, wc.ContactMaterial(law=law, friction=friction), name="touch")
     if "springs" in scene:
         spring = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=scene["springs"]))
-        # A wall on either side of x = 0, yielding like a spring.
+        # A compliant wall on either side of x = 0 replaces the springs.
         for turn in (-np.sqrt(0.5), np.sqrt(0.5)):
             wall = made.add_surface(square(50.0), orientation=(0, turn, 0, np.sqrt(0.5)))
             made.add_contact(point, wall, spring)
@@ -56,7 +56,7 @@ def name_of(friction):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-# Bristles near their limit take long to settle.
+# Bristle models settle slowly near their limit.
 @pytest.mark.parametrize(("friction", "steepest"), list(zip(STICKING, (16.65, 15.0), strict=True)))
 def test_block_sticks_below_friction_angle_and_slides_above(friction, steepest, precision, device):
     # FORCE_LAWS G8: stick limit arctan 0.3 = 16.69924°.
@@ -68,8 +68,8 @@ def test_block_sticks_below_friction_angle_and_slides_above(friction, steepest, 
     sim.step(5000)
     path, speed = place(model), model.sensor("block.linear_velocity")[:, 0]
     sim.step(5000)
-    # At rest, near the limit after the small slip that a sudden load gives.
-    # A spring takes no less than half a rounding of its stretch, here 3e-5 m at most, in a step.
+    # At rest; near the limit after the small slip of a sudden load. A spring ignores displacements per step below
+    # half a rounding of its stretch, here at most 3e-5 m.
     unfelt = {"float32": 5000 * 0.5 * np.spacing(np.float32(3e-5)), "float64": 1e-12}[precision]
     np.testing.assert_allclose(place(model)[:2], path[:2], rtol=1e-6, atol=unfelt)
     assert (path[:2] < 2e-3).all()
@@ -84,7 +84,7 @@ def test_block_sticks_below_friction_angle_and_slides_above(friction, steepest, 
 
 @pytest.mark.parametrize("friction", STICKING, ids=name_of)
 def test_sliding_block_stops_and_remains_at_rest(friction, device):
-    # FORCE_LAWS G8: from 2 m/s on the flat after 0.6795786612 s and as many metres.
+    # FORCE_LAWS G8: from 2 m/s on level ground, it stops after 0.6795786612 s and 0.6795786612 m.
     model = resting_block(friction, speed=2.0, device=device)
     sim = wc.Simulation(model, dt=1e-4)
     recording = sim.run(0.7, ["block.linear_velocity"], every=1e-4)
@@ -114,7 +114,8 @@ def test_block_thrown_up_a_slope_returns_slower(device):
 
 
 def test_stick_spring_oscillates_until_it_slides(device):
-    # FORCE_LAWS G23: m = 1, μ = 0.5, k_t = 1e5: 50.3292121 Hz, slides at 4.905e-5 m, from 0.01551097192 m/s on.
+    # FORCE_LAWS G23: m = 1, μ = 0.5, k_t = 1e5: 50.3292121 Hz; slips at 4.905e-5 m, for speeds above 0.01551097192
+    # m/s.
     speeds = 0.01551097192 * np.array([0.5, 0.999, 1.001, 1.2])
     friction = F.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1e5)
     model = resting_block(friction, envs=4, device=device)
@@ -123,21 +124,21 @@ def test_stick_spring_oscillates_until_it_slides(device):
     recording = wc.Simulation(model, dt=dt).run(3 * period, ["touch.friction_force"], every=dt)
     path = recording["block.position"].sel(axis="x").values
     force = recording["touch.friction_force"].sel(axis="x").values
-    # Symplectic: amplitude to dt ω/2 = 8e-4, and the period to (dt ω)²/24.
+    # Symplectic scheme: amplitude to dt ω/2 = 8e-4, and period to (dt ω)²/24.
     np.testing.assert_allclose(path[:, :2].max(axis=0), speeds[:2] / np.sqrt(1e5), rtol=1e-3)
     np.testing.assert_allclose(path[4000, :2], 0.0, atol=1e-3 * 4.905e-5)
     assert np.abs(force).max() <= 0.5 * G * (1 + 1e-9)
-    # Whether it slid shows where the next swings have their middle.
+    # The center of the later oscillation shows whether slip occurred.
     middle = 0.5 * (path[4000:].max(axis=0) + path[4000:].min(axis=0))
     np.testing.assert_allclose(middle[:2], 0.0, atol=1e-3 * 4.905e-5)
-    # What is left of the energy at the first slip is lost by sliding: x = (½ m v² − ½ k ξ²)/(μ N).
+    # The remaining energy at the first slip is dissipated by sliding: x = (½ m v² − ½ k ξ²)/(μ N).
     slid = (0.5 * speeds**2 - 0.5 * 1e5 * 4.905e-5**2)[2:] / (0.5 * G)
     np.testing.assert_allclose(middle[2:], slid, atol=2e-3 * 4.905e-5)
 
 
 @pytest.mark.parametrize("friction", STICKING, ids=name_of)
 def test_oscillator_with_dry_friction_matches_closed_form_turning_points(friction, device):
-    # FORCE_LAWS G20 with a μ N of 0.981 N: the amplitude falls by 2 μ N/k every half period.
+    # FORCE_LAWS G20 with μ N = 0.981 N: the amplitude falls by 2 μ N/k every half period.
     friction = {F.CundallStrack: F.CundallStrack(mu_static=0.1, mu_dynamic=0.1, stiffness=1e5, damping=100.0)}.get(
         type(friction), F.LuGre(mu_static=0.1, mu_dynamic=0.1, stribeck_speed=0.01, stiffness=1e5, damping=50.0)
     )
@@ -146,13 +147,14 @@ def test_oscillator_with_dry_friction_matches_closed_form_turning_points(frictio
     recording = wc.Simulation(model, dt=5e-5).run(2.0, every=5e-5)
     path = recording["block.position"].sel(axis="x", env=0)
     turns = [float(path.sel(time=k * np.pi / 10, method="nearest")) for k in range(6)]
-    # Presliding moves the turns by μ N/k_t = 1e-5 m and first-order steps by as much.
+    # Presliding displaces the turning points by μ N/k_t = 1e-5 m, and the first-order scheme by as much.
     np.testing.assert_allclose(turns, [0.1, -0.08038, 0.06076, -0.04114, 0.02152, -0.0019], atol=5e-5)
     np.testing.assert_allclose(path[-1], -0.0019, atol=5e-5)
 
 
 def test_stick_slip_on_belt_matches_closed_form(device):
-    # FORCE_LAWS G19: m = 1, k = 100, belt 0.1 m/s, F_s = 5, F_k = 3. Seen from the belt: the spring's end moves.
+    # FORCE_LAWS G19: m = 1, k = 100, belt 0.1 m/s, F_s = 5, F_k = 3. In the frame of the belt, the end of the
+    # spring moves.
     friction = F.CundallStrack(mu_static=5 / G, mu_dynamic=3 / G, stiffness=1e6, damping=1500.0)
     model = resting_block(friction, device=device, wall=(100.0, -0.1))
     recording = wc.Simulation(model, dt=5e-5).run(4.0, ["block.linear_velocity", "wall.position"], every=1e-4)
@@ -163,7 +165,7 @@ def test_stick_slip_on_belt_matches_closed_form(device):
     assert len(starts) >= 4
     slip = 1e-4 * (ends[:4] - starts[:4])
     stick = 1e-4 * (starts[1:4] - ends[:3])
-    # A slip shows late, once it is faster than 1 mm/s.
+    # Slip is detected with a delay, when its speed exceeds 1 mm/s.
     np.testing.assert_allclose(slip, 0.4068887872, rtol=5e-3)
     np.testing.assert_allclose(stick, 0.4, rtol=5e-3)
     np.testing.assert_allclose(stretch.max(), 0.05236067977, rtol=1e-3)
@@ -187,8 +189,8 @@ def test_stick_slip_with_lugre_matches_integrated_equations(device):
 
     times, path = belt_of(friction, device, 2.0, 1e-5)
     exact = solve_ivp(rates, (0, 2.0), (0, 0, 0), "LSODA", times, rtol=1e-9, atol=1e-12).y[0]
-    assert np.ptp(np.diff(exact)) > 2e-3  # it sticks and slips
-    # First order in dt: halving it halves the difference.
+    assert np.ptp(np.diff(exact)) > 2e-3  # stick and slip alternate
+    # First order in dt: halving dt halves the error.
     _, coarse = belt_of(friction, device, 2.0, 2e-5)
     assert np.abs(path - exact).max() < 2e-4 * np.abs(exact).max()
     np.testing.assert_allclose(np.abs(path - exact).max() / np.abs(coarse - exact).max(), 0.5, atol=0.05)
@@ -217,7 +219,7 @@ def test_block_slowed_by_tanh_friction_matches_closed_form(device):
     model = resting_block(friction, speed=0.5, device=device)
     recording = wc.Simulation(model, dt=1e-5).run(0.12, ["block.linear_velocity"], every=1e-2)
     speed = recording["block.linear_velocity"].sel(axis="x", env=0)
-    # Explicit: off by less than a step's change, 4e-5 m/s.
+    # Explicit scheme: the error is below the change in a step, 4e-5 m/s.
     np.testing.assert_allclose(speed.sel(time=0.05, method="nearest"), 0.3038, atol=5e-5)
     np.testing.assert_allclose(speed.sel(time=0.12, method="nearest"), 0.029120044, atol=5e-5)
 
@@ -233,7 +235,7 @@ def test_creep_speed_with_tanh_friction_matches_closed_form(device):
 
 def test_elliptic_friction_conserves_its_invariant(device):
     # FORCE_LAWS G26: μ = (0.4, 0.2), v = (1, 1): v₁ = 0.0625 when v₂ = 0.5, at 0.3615177588 s. The surface is
-    # turned by 30°, axis 1 by 20° more against it.
+    # rotated by 30°, and axis 1 by another 20° relative to it.
     turn, extra = np.radians(30.0), np.radians(20.0)
     axis_1 = np.array([np.cos(turn + extra), np.sin(turn + extra), 0.0])
     axis_2 = np.array([-axis_1[1], axis_1[0], 0.0])

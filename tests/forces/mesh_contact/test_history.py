@@ -1,4 +1,4 @@
-"""Laws and friction models that remember: what they may do with it, and where their memory goes."""
+"""Laws and friction models with history variables: passivity, accuracy, resets and rotation of the history."""
 
 from typing import Any
 
@@ -37,7 +37,8 @@ def test_samples_cover_every_friction_model_with_history():
 
 
 def driven(friction, velocity, dt, device, depth=1e-3, precision="float64"):
-    """Takes a sphere too heavy to be slowed along ``velocity`` (steps, envs, 2), at ``depth`` (steps, envs) [m].
+    """Moves a sphere of large mass along ``velocity`` (steps, envs, 2), at penetration ``depth`` (steps, envs)
+    [m].
 
     Returns F·v dt, F and N.
     """
@@ -56,14 +57,14 @@ def driven(friction, velocity, dt, device, depth=1e-3, precision="float64"):
         speed[:, 0, :2] = velocity[i]
         sim.state.body_linear_velocity.assign(speed.astype(precision))
         sim.step()
-        # What acted in the step: the memory was advanced with this velocity, and the force has not changed since.
+        # The force of the step: the history was advanced with this velocity, and the force has not changed since.
         forces[i] = model.arrays.contacts.friction_force.numpy()[:, 0, :2]
         normals[i] = model.arrays.contacts.normal_force.numpy()[:, 0]
     return np.einsum("sei,sei->se", forces, velocity) * dt, forces, normals
 
 
 def random_velocities(steps, envs, seed):
-    """Smooth random slip with stops, reversals and turns, from presliding to fast."""
+    """Smooth random slip with stops, reversals and turns, from presliding to fast sliding."""
     rng = np.random.default_rng(seed)
     nodes = rng.normal(size=(steps // 25 + 2, envs, 2)) * rng.choice(
         [0.0, 0.02, 0.2, 1.0], (steps // 25 + 2, envs, 1)
@@ -80,10 +81,10 @@ def test_friction_with_history_stays_in_its_cone_and_is_passive(friction, device
     work, forces, normals = driven(friction, velocity, 1e-3, device)
     size = np.linalg.norm(forces, axis=2)
     assert (size <= LARGEST[type(friction).__name__] * normals * (1 + 1e-12)).all()
-    # Memory begins empty: at no time has the contact given more than it took.
+    # The history begins at zero, so the contact never returns more energy than it received.
     given = np.cumsum(work, axis=0)
     assert (given <= 1e-12 * np.abs(given).max(axis=0)).all()
-    # And springs do give back: this is no dashpot.
+    # Springs do return energy; a pure dashpot would not.
     assert (work > 0).any(axis=0).sum() > 12
 
 
@@ -97,7 +98,7 @@ def test_friction_with_history_stays_in_its_cone_and_is_passive(friction, device
     ids=name_of,
 )
 def test_dynamic_friction_above_static_friction_is_passive(friction, device):
-    """It then holds as much: a spring that slid and stuck between the two by turns would give energy away."""
+    """The dynamic limit then also applies in stick. A spring that alternated between both would create energy."""
     work, _, _ = driven(friction, random_velocities(600, 24, seed=4), 1e-3, device)
     given = np.cumsum(work, axis=0)
     assert (given <= 1e-12 * np.abs(given).max(axis=0)).all()
@@ -107,7 +108,7 @@ def test_dynamic_friction_above_static_friction_is_passive(friction, device):
 
 @pytest.mark.parametrize("friction", FRICTION_WITH_HISTORY, ids=name_of)
 def test_small_oscillation_of_slip_is_nearly_lossless(friction, device):
-    """Presliding: slip below the reach of the springs does as much work on the way back."""
+    """Presliding: slip below the range of the springs recovers its work on reversal."""
     amplitude, steps = 2e-6, 6000
     dt = 3 * 2 * np.pi / 100 / steps
     time = dt * np.arange(steps)
@@ -121,7 +122,7 @@ def test_small_oscillation_of_slip_is_nearly_lossless(friction, device):
     work, forces, _ = driven(friction, velocity, dt, device)
     taken, given = -work[work < 0].sum(), work[work > 0].sum()
     assert given > 0.98 * taken
-    # In phase with the place: a spring, F = −k x.
+    # In phase with displacement: a spring, F = −k x.
     place = np.cumsum(velocity[:, 0, 0]) * dt
     stiffness = -(forces[:, 0, 0] @ place) / (place @ place)
     expected = {
@@ -135,19 +136,19 @@ def test_small_oscillation_of_slip_is_nearly_lossless(friction, device):
 
 
 def test_steady_slip_has_the_dynamic_coefficient(device):
-    """Judged by μ_s alone at every step, the slider would stick again and pull anything between μ_d and μ_s."""
+    """With μ_s as the only criterion, the slider would stick again, with a force anywhere between μ_d and μ_s."""
     velocity = np.full((400, 1, 2), 0.05)
     for friction in FRICTION_WITH_HISTORY[:2]:
         _, forces, normals = driven(friction, velocity, 1e-4, device)
         coefficient = np.linalg.norm(forces, axis=2) / normals
         start = int(np.argmax(coefficient[:, 0] == coefficient.max()))
-        # The trial that slid was above μ_s by no more than a step's stretch.
+        # The trial force at the first slip exceeded μ_s by at most the stretch of one step.
         assert 0.45 < coefficient.max() <= 0.5
         np.testing.assert_allclose(coefficient[start + 1 :], 0.3, rtol=1e-12)
 
 
 def test_mindlin_spring_keeps_force_on_loading_and_stretch_on_unloading(device):
-    """Mindlin: dF = 8 G* a dξ. Neither way does a load that swings put energy into the spring."""
+    """Mindlin: dF = 8 G* a dξ. An oscillating load adds no energy to the spring on loading or unloading."""
     friction = F.Mindlin(mu_static=10.0, mu_dynamic=10.0, shear_modulus=1e5)
     model = dropped_sphere(
         wc.laws.Hooke(stiffness=1e4), friction=friction, mass=1e9, velocity=(0, 0, 0), device=device,
@@ -180,7 +181,9 @@ def test_mindlin_spring_keeps_force_on_loading_and_stretch_on_unloading(device):
     ids=["CundallStrack", "stiff dashpot", "Mindlin"],
 )
 def test_friction_with_slow_dashpot_is_passive(friction, device):
-    """c/k many times dt, slow after fast slip, and a load that swings: where published return maps push."""
+    """c/k much larger than dt, slow slip after fast slip, oscillating load: published return maps create energy
+    here.
+    """
     rng = np.random.default_rng(8)
     velocity = random_velocities(600, 24, seed=9)
     velocity[:, 0] = np.tile([0.05] + [0.01] * 9, 60)[:, None] * (1.0, 0.0)
@@ -190,7 +193,7 @@ def test_friction_with_slow_dashpot_is_passive(friction, device):
     assert (np.linalg.norm(forces, axis=2) <= friction.mu_static * normals * (1 + 1e-12)).all()
     given = np.cumsum(work, axis=0)
     assert (given <= 1e-12 * np.abs(given).max(axis=0)).all()
-    # Slip that never turns back is opposed throughout.
+    # Slip that never reverses is opposed at all times.
     assert (forces[:, 0, 0] < 0).all()
 
 
@@ -205,12 +208,13 @@ def test_oblique_impact_in_full_slip_loses_velocity_as_coulomb(speed, damping, d
     )  # fmt: skip
     wc.Simulation(model, dt=1e-5).step(1300)
     assert model.sensor("touch.status")[0] == wc.ContactStatus.OPEN
-    # Until the spring is stretched it pulls less: 3e-5 s at 5 m/s and μ N/k, of second order in its reach.
+    # Until the spring reaches its limit, its force is smaller: 3e-5 s at 5 m/s and μ N/k, of second order in its
+    # range.
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0, 0], speed - 0.6, rtol=1e-3)
 
 
 def test_bristle_damping_decreases_with_speed(device):
-    """LuGre: σ₁ exp(−(s/v_d)²), seen in the first instant of slip."""
+    """LuGre: σ₁ exp(−(s/v_d)²), measured at the start of slip."""
     options = {"mu_static": 90.0, "mu_dynamic": 90.0, "stribeck_speed": 1.0, "stiffness": 1e-3, "damping": 2.0}
     speeds = np.array([[0.5, 0.0], [1.0, 0.0], [2.0, 0.0]])
     for limit, expected in ((None, 2.0 * speeds[:, 0]), (1.0, 2.0 * speeds[:, 0] * np.exp(-(speeds[:, 0] ** 2)))):
@@ -233,13 +237,13 @@ def test_law_with_history_of_peak_penetration_has_closed_form_restitution(precis
     for speed in (1.0, 2.0):
         sim.state.body_linear_velocity.fill_(model.types.vec3(0.0, 0.0, -speed))
         sim.step(2000)
-        # e = √(k₁/k₂); a second impact of the same bodies begins without a dent.
+        # e = √(k₁/k₂). A second impact of the same bodies starts with cleared history.
         rebound = model.sensor("ball.linear_velocity")[:, 2]
         np.testing.assert_allclose(rebound, speed / np.sqrt(ratio), rtol=2e-3)
         sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 0.101))
 
 
-# Where memory goes
+# Resets, transfers and evaluation of the history
 
 
 def pushed(friction, device, envs=3, precision="float64", **options):
@@ -270,7 +274,7 @@ def test_sensor_evaluation_does_not_advance_history(friction, device):
 
 @pytest.mark.parametrize("friction", FRICTION_WITH_HISTORY, ids=name_of)
 def test_sensor_value_is_the_force_of_the_next_step(friction, device):
-    """Also just after touch: the memory knows how long ago it was advanced."""
+    """Also directly after the first contact, because the history stores the time since it was advanced."""
     model = dropped_sphere(
         wc.laws.Hooke(stiffness=1e4), friction=friction, height=1e-4, velocity=(0.3, 0.1, -1), envs=2,
         device=device, precision="float64",
@@ -281,14 +285,14 @@ def test_sensor_value_is_the_force_of_the_next_step(friction, device):
         predicted = model.sensor("touch.friction_force")
         sim.step()
         acted = model.arrays.contacts.friction_force.numpy()[:, 0]
-        # The impulse that a law missed at touch is that of 1e-6 of the depth, also where it misses nothing.
+        # The impulse missed at the first contact is included to 1e-6 of the penetration, also if none was missed.
         np.testing.assert_allclose(acted, predicted, rtol=1e-6)
         touched += bool(np.abs(acted).max() > 0)
     assert touched > 8
 
 
 def test_history_starts_at_the_instant_of_contact(device):
-    """The spring of a contact found 0.3 steps after touch has stretched for 0.3 steps."""
+    """If a contact is detected 0.3 steps after it began, its spring is stretched by 0.3 steps."""
     friction = F.CundallStrack(mu_static=10.0, mu_dynamic=10.0, stiffness=1e4)
     model = dropped_sphere(
         wc.laws.Hooke(stiffness=1e4), friction=friction, height=0.7e-4, velocity=(0.3, 0, -1), device=device,
@@ -309,7 +313,7 @@ def test_reset_clears_history_of_masked_environments(friction, device):
     after = model.sensor("touch.friction_force")
     np.testing.assert_array_equal(after[[0, 2]], before[[0, 2]])
     np.testing.assert_array_equal(after[1], start.sensor("touch.friction_force")[1])
-    # And from there it goes as from the start.
+    # From there the run repeats that from the start.
     sim.reset()
     sim.step(20)
     np.testing.assert_array_equal(model.sensor("touch.friction_force"), before)
@@ -323,7 +327,7 @@ def test_history_is_cleared_when_the_contact_ends(friction, device):
     sim.step()
     sim.state.body_position.assign(held)
     sim.state.body_linear_velocity.fill_(model.types.vec3(0.0, 0.0, 0.0))
-    # But for the spin that the friction gave.
+    # Except for the spin that friction caused.
     np.testing.assert_allclose(model.sensor("touch.friction_force"), 0.0, atol=1e-9)
     assert (model.sensor("touch.normal_force") > 1.0).all()
 
@@ -348,7 +352,7 @@ def test_history_of_frozen_environment_is_unchanged(device):
     "friction", [FRICTION_WITH_HISTORY[0], FRICTION_WITH_HISTORY[3], FRICTION_WITH_HISTORY[4]], ids=name_of
 )
 def test_history_vectors_rotate_with_the_bodies(friction, precision, device):
-    """Two bodies that turn as one: the force of a stretched spring turns with them, about any axis."""
+    """Two bodies that rotate together: the force of a stretched spring rotates with them, about any axis."""
     scene = wc.Scene(gravity=(0, 0, 0))
     carrier = scene.add_body(1e15, (1e15, 1e15, 1e15), name="carrier")
     plate = scene.add_surface(square(), carrier, orientation=(0.5, 0.5, 0.5, 0.5))
@@ -369,7 +373,7 @@ def test_history_vectors_rotate_with_the_bodies(friction, precision, device):
     spin = np.array([1.0, -2.0, 1.5])
 
     def ride():
-        """Puts the rider where the carrier has turned to, at the velocity of the carrier there."""
+        """Places the rider on the rotated carrier, with the carrier's velocity there."""
         turned = Rotation.from_quat(model.sensor("carrier.orientation")[0])
         place = turned.apply(at)
         sim.state.body_position.assign(np.array([[np.zeros(3), place]]).astype(precision))
@@ -384,7 +388,7 @@ def test_history_vectors_rotate_with_the_bodies(friction, precision, device):
         turned = ride()
         sim.step()
     acted = model.arrays.contacts.friction_force.numpy()[0, 0]
-    # In float32 the slip of the two bodies' rounded velocities adds up.
+    # In float32, the rounded velocities of the two bodies give a small slip that accumulates.
     tolerance = 1e-9 if precision == "float64" else 2e-3
     np.testing.assert_allclose(acted, turned.apply(force), atol=tolerance * np.linalg.norm(force))
     np.testing.assert_allclose(acted @ turned.apply(normal), 0.0, atol=1e-5 * np.linalg.norm(force))
@@ -441,7 +445,7 @@ def test_history_variable_can_be_inherited_from_a_mixin(device):
         spring = wc.history("m", "stretch", tangent=True)
 
     class Mixed(Spring, wc.Friction):
-        """With the memory of another class."""
+        """With the history of another class."""
 
         advance = custom_law.Sprung.advance
         force = custom_law.Sprung.force
@@ -455,7 +459,7 @@ def test_law_with_tangent_history_is_refused():
     with pytest.raises(TypeError, match=r"Sideways\.drift: a law acts along the normal"):
 
         class Sideways(wc.Law):
-            """Remembers a direction."""
+            """Stores a direction in its history."""
 
             drift = wc.history("m", "drift", tangent=True)
 

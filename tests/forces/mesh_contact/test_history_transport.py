@@ -1,4 +1,4 @@
-"""Memory follows the normal of the surface, and every part of a contact keeps its own."""
+"""History vectors follow the surface normal, and each model of a contact has separate history."""
 
 import custom_law
 import numpy as np
@@ -14,7 +14,7 @@ F = wc.friction
 
 
 def history_along(path, device, precision="float64", friction=None):
-    """Takes a point along ``path`` (steps, 3) on a box about the origin, turned at random; a spring along the way.
+    """Moves a point along ``path`` (steps, 3) on a randomly rotated box about the origin, with a spring friction.
 
     Returns force, normal and velocity of every step in the axes of the box.
     """
@@ -40,7 +40,9 @@ def history_along(path, device, precision="float64", friction=None):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_history_vector_turns_with_the_normal_over_an_edge(precision, device):
-    """From the top of a box over its edge: what pulled towards the edge pulls down the side, what along, along."""
+    """Over an edge of a box, a force towards the edge turns down the side; a force along the edge keeps its
+    direction.
+    """
     top = np.linspace((0.40, 0.0, 0.499), (0.43, 0.02, 0.499), 10)
     side = np.array([[0.499, 0.02, 0.45]])
     found = history_along(np.concatenate([top, side, side]), device, precision)
@@ -48,14 +50,14 @@ def test_history_vector_turns_with_the_normal_over_an_edge(precision, device):
     np.testing.assert_allclose(before[1], (0, 0, 1), atol=1e-6)
     np.testing.assert_allclose(after[1], (1, 0, 0), atol=1e-6)
     np.testing.assert_allclose(before[0], (-30, -20, 0), rtol=1e-3, atol=1e-2)
-    # The way down the side adds its own: the path jumped from z to x, and its slip on the side was −49 mm.
+    # The path down the side adds its own slip: the path jumped from z to x, and its slip on the side was −49 mm.
     slip = history_along(np.array([[0.499, 0.02, 0.499], *side]), device, precision)[1][0]
     np.testing.assert_allclose(after[0] - slip, (0, -20, 30), atol=0.5)
     assert abs(after[0][0]) < 1e-4 * np.linalg.norm(after[0])
 
 
 def test_history_vector_is_cleared_if_the_normal_reverses(device):
-    """From the top of a thin plate to its underside no direction is the right one."""
+    """From the top of a thin plate to its underside the direction is undefined."""
     top = np.linspace((0.0, 0.0, 0.499), (0.03, 0.0, 0.499), 10)
     found = history_along(np.concatenate([top, [[0.03, 0.0, -0.499]] * 2]), device)
     np.testing.assert_allclose(found[9][0], (-30, 0, 0), atol=1e-2)
@@ -64,7 +66,7 @@ def test_history_vector_is_cleared_if_the_normal_reverses(device):
 
 
 def test_history_vector_follows_a_curved_surface(device):
-    """Along a great circle of a fine sphere by 60°: the pull stays backwards along the way, at its size."""
+    """Along 60° of a great circle of a fine sphere: the force opposes the path and has constant size."""
     scene = wc.Scene(gravity=(0, 0, 0))
     globe = scene.add_surface(wc.meshes.icosphere(1.0, 5))
     body = scene.add_body(1e15, (1e15, 1e15, 1e15), name="body")
@@ -78,7 +80,7 @@ def test_history_vector_follows_a_curved_surface(device):
     for angle in np.linspace(0, np.pi / 3, 400):
         place = 0.99 * (np.cos(angle) * start + np.sin(angle) * across)
         tangent = -np.sin(angle) * start + np.cos(angle) * across
-        # Slips in the first tenth only; then it is carried without slip.
+        # Slip occurs in the first tenth only; the rest of the path has no slip.
         speed = 0.3 if angle < np.pi / 30 else 0.0
         sim.state.body_position.assign(place[None, None])
         sim.state.body_linear_velocity.assign((speed * tangent)[None, None])
@@ -88,15 +90,15 @@ def test_history_vector_follows_a_curved_surface(device):
             stretched = np.linalg.norm(force)
     assert stretched > 5.0
     np.testing.assert_allclose(np.linalg.norm(force), stretched, rtol=1e-3)
-    # Facets of 2° turn it a little; smallest rotations keep its angle to the great circle.
+    # Facets of 2° turn the force slightly; smallest rotations preserve its angle to the great circle.
     np.testing.assert_allclose(force / stretched, -tangent, atol=0.03)
 
 
-# Every part
+# History of all models
 
 
 def stuck(device, **parts):
-    """A ball pressed on a plate with springs in every part, turned and slid a little; heavy, so it goes on so."""
+    """A ball pressed on a plate with springs in every model, rotated and displaced a little; of large mass."""
     spring = F.CundallStrack(mu_static=5.0, mu_dynamic=5.0, stiffness=1e4)
     scene = wc.Scene(gravity=(0, 0, 0))
     carrier = scene.add_body(1e15, (1e15, 1e15, 1e15), position=(0, 0, -1), name="carrier")
@@ -121,7 +123,7 @@ def stuck(device, **parts):
 def test_friction_rolling_and_torsion_have_separate_history(device):
     model, sim = stuck(device)
     sim.step(11)
-    # 10 ms, as at the start nothing has elapsed, of rolling at 0.02 m/s and of twist at 0.015 m/s.
+    # 10 ms (no time has elapsed at the start) of rolling at 0.02 m/s and of spinning at 0.015 m/s.
     np.testing.assert_allclose(model.sensor("touch.rolling.spring")[0], (2.0e-4, 0, 0), atol=1e-9)
     np.testing.assert_allclose(model.sensor("touch.torsion.spring")[0], (0, 0, 1.5e-4), atol=1e-9)
     torque = model.arrays.contacts.torque.numpy()[0, 0]
@@ -144,12 +146,14 @@ def test_history_of_all_parts_is_cleared_at_release(device):
     sim.step()
     for name in ("friction.spring", "rolling.spring", "torsion.spring"):
         np.testing.assert_array_equal(model.sensor(f"touch.{name}"), 0.0, err_msg=name)
-    # It did not fall in: nothing says when within the step it came.
+    # The contact did not begin by penetration, so the time of contact within the step is undefined.
     np.testing.assert_allclose(model.sensor("touch.law.age")[0], 1e-3)
 
 
 def test_history_of_all_parts_starts_at_the_instant_of_contact(device):
-    """Found 0.3 steps deep, a contact has lasted for 0.3 steps: for law, slip, rolling and twist alike."""
+    """If a contact is detected 0.3 steps after it began, its age is 0.3 steps for law, friction, rolling and
+    torsion.
+    """
     model, sim = stuck(device)
     state = sim.state.body_position.numpy().copy()
     state[:, 1, 2] = 0.1 + 0.7e-3
@@ -165,7 +169,7 @@ def test_history_of_all_parts_starts_at_the_instant_of_contact(device):
 
 
 def test_torsion_history_rotates_with_the_bodies(device):
-    """Twisted, then carried along by a plate that turns about a tilted axis: the couple stays along the normal."""
+    """Twisted, then carried by a plate that rotates about a tilted axis: the torque remains along the normal."""
     model, sim = stuck(device)
     sim.step(11)
     spin = np.array([0.8, -0.5, 0.6])
@@ -185,7 +189,7 @@ def test_torsion_history_rotates_with_the_bodies(device):
 
 
 def test_rolling_velocity_is_relative_to_the_plate(device):
-    """A ball at rest on a plate that turns about a tangent axis rolls backwards over it."""
+    """A ball at rest on a plate that rotates about a tangent axis rolls backwards relative to it."""
     model, sim = stuck(device, rolling=F.Viscous(drag=0.1))
     sim.state.body_angular_velocity.assign(np.array([[[0, 0.2, 0], [0, 0, 0]]], dtype=float))
     sim.state.body_linear_velocity.zero_()
@@ -221,7 +225,7 @@ def test_surface_y_axis_is_the_tangent_reference_if_its_x_axis_is_normal(device)
 
 
 def test_law_with_initial_jump_gets_its_missed_impulse(device):
-    """A dashpot that weakens with age: late and early contacts lose the same, as without a memory."""
+    """A dashpot that weakens with age: contacts that begin late or early in a step lose the same energy."""
     phases = np.linspace(0.02, 0.98, 25)
     model = dropped_sphere(
         custom_law.Tiring(damping=200.0, time=2e-3), velocity=(0, 0, -1), envs=25, device=device, precision="float64",
@@ -231,7 +235,7 @@ def test_law_with_initial_jump_gets_its_missed_impulse(device):
     model["ball.position"] = position
     wc.Simulation(model, dt=1e-4).step(300)
     speed = -model.sensor("ball.linear_velocity")[:, 2]
-    # Without the impulse of what was missed the spread is the share of a step, c dt/m = 2 % of 0.67 m/s.
+    # Without the missed impulse, the spread is that of one step, c dt/m = 2 % of 0.67 m/s.
     assert np.ptp(speed) < 0.001
 
 

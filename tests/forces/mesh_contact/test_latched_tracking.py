@@ -1,4 +1,4 @@
-"""Latched contacts stay with the part of the surface that they touched: through plates and over edges."""
+"""Latched contacts track the part of the surface where contact began: through plates and over edges."""
 
 from itertools import pairwise
 
@@ -12,9 +12,9 @@ from warpcontact import ContactStatus
 
 
 def pushed(mesh, path, *, precision, device, entry="latched", radius=0.0, surface=None, **contact):
-    """Leads a point along ``path`` (steps, 3), one step after another; returns model and sensors of every place.
+    """Moves a point along ``path`` (steps, 3); returns the model and the sensors at all positions.
 
-    It moves with a prescribed velocity, too heavy for contact to change it.
+    The velocity is prescribed, and the mass so large that contact does not change it.
     """
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(mesh, name="ground", **(surface or {}))
@@ -64,7 +64,7 @@ def test_point_from_the_inner_side_is_not_latched(precision, device):
     inner = path[:-1, 2] < 0.01
     assert (seen["status"][:20][inner[:20]] == ContactStatus.WRONG_SIDE).all()
     assert (seen["normal_force"][:20] == 0).all()
-    # It has been outside: now it touches.
+    # It was outside before, so it is in contact now.
     assert (seen["status"][20:][inner[20:]] == ContactStatus.CONTACT).all()
 
 
@@ -80,7 +80,7 @@ def test_point_from_the_inner_side_is_not_latched_by_swept_test(precision, devic
 
 @PRECISIONS
 def test_latched_point_follows_over_convex_edges_and_into_valleys(precision, device):
-    """A faceted ball from within and from without: it is held by the facet under it, all the way round."""
+    """A faceted ball from inside and outside: the contact face is the facet under the point, all around."""
     for mesh, depth in ((wc.meshes.icosphere(1.0, 2), 0.6), (wc.meshes.icosphere(1.0, 2).flipped(), -0.6)):
         turn = np.linspace(0, 2 * np.pi, 200)
         ring = np.column_stack([np.cos(turn), np.sin(turn), 0.05 * np.sin(3 * turn)])
@@ -89,7 +89,7 @@ def test_latched_point_follows_over_convex_edges_and_into_valleys(precision, dev
         _, seen = pushed(mesh, path, precision=precision, device=device)
         around = slice(len(touch) - 1, None)
         assert (seen["status"][around] == ContactStatus.CONTACT).all()
-        # Outwards, within the slope of the facets seen from half way to the centre.
+        # Outwards, within the angle of the facets seen from half the distance to the center.
         outward = np.sign(depth) * path[:-1] / np.linalg.norm(path[:-1], axis=1)[:, None]
         assert np.einsum("ni,ni->n", seen["normal"], outward)[around].min() > 0.8
         np.testing.assert_allclose(seen["gap"][around], -abs(depth), atol=0.05)
@@ -99,7 +99,7 @@ def test_latched_point_follows_over_convex_edges_and_into_valleys(precision, dev
 def test_latched_sphere_in_a_valley_contacts_the_nearer_slope(precision, device):
     flat = wc.meshes.grid((2.0, 2.0), (8, 8))
     valley = wc.Mesh(np.column_stack([flat.vertices[:, :2], np.abs(flat.vertices[:, 0])]), flat.faces)
-    # No place on it has both slopes equally near.
+    # No point of this path is equally near to both slopes.
     path = line((-0.4, 0.03, 0.8), (-0.4, 0.03, 0.5), (0.41, 0.07, 0.5), (0.41, 0.07, 0.6))
     for swept in (False, True):
         _, seen = pushed(valley, path, precision=precision, device=device, radius=0.15, swept=swept)
@@ -120,7 +120,7 @@ def test_latched_point_leaves_over_an_edge_without_force(precision, device):
 
 @PRECISIONS
 def test_latched_point_in_a_box_contacts_floor_and_walls(precision, device):
-    """A box turned inside out: from within, each wall is touched where it is pushed into."""
+    """An inverted box: from inside, each wall is in contact where the point penetrates it."""
     room = wc.meshes.box((2.0, 2.0, 2.0)).flipped()
     path = line((0, 0, 0), (0, 0, -1.1), (0.9, 0, -1.1), (1.2, 0.1, -0.8), (0.5, 0, 0), (0.5, 1.3, 0))
     _, seen = pushed(room, path, precision=precision, device=device)
@@ -133,7 +133,7 @@ def test_latched_point_in_a_box_contacts_floor_and_walls(precision, device):
 
 @PRECISIONS
 def test_latched_face_is_cleared_after_a_change_of_mesh(precision, device):
-    """The same box with its faces in another order: what was a face of the top is one of the bottom."""
+    """The same box with its faces in another order: the index of a top face is that of a bottom face."""
     box = wc.meshes.box((2.0, 2.0, 1.0))
     turned = wc.Mesh(box.vertices, box.faces[::-1])
     for entry, swept in (("latched", False), ("literal", True)):
@@ -156,7 +156,7 @@ def test_latched_face_is_cleared_if_contact_is_disabled_or_lost(precision, devic
     sim.step()
     assert model.sensor("touch.status")[0] == ContactStatus.DISABLED
     model["touch.enabled"] = 1
-    # The latch is kept, the face is not: the nearest is that of the other side now.
+    # The latch persists, but the face is cleared: the nearest face is now on the other side.
     assert model.sensor("touch.normal")[0, 2] < -0.9
     sim.reset()
     model.state.body_position.assign(np.array([[path[-1]]]))
@@ -165,7 +165,7 @@ def test_latched_face_is_cleared_if_contact_is_disabled_or_lost(precision, devic
 
 @PRECISIONS
 def test_latched_point_follows_a_written_state_along_the_surface(precision, device):
-    """From one end of a finely divided plate to the other, and out of it."""
+    """From one end of a finely divided plate to the other, and off the plate."""
     mesh = difficult_meshes.plate((2.0, 0.2), thickness=0.02, cells=(400, 20))
     path = line((-0.9, 0.0, 0.02), (-0.9, 0.0, -0.005), count=4)
     model, _ = pushed(mesh, path, precision=precision, device=device)
