@@ -1,4 +1,4 @@
-"""Two meshed bodies that collide in free space: conservation, and the same motion wherever and however it lies."""
+"""Two meshed bodies collide in free space: conservation, and invariance to position and rotation of the scene."""
 
 import difficult_meshes
 import numpy as np
@@ -29,12 +29,15 @@ UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def collision(precision, device, *, shift=(0, 0, 0), turn=UNTURNED, modelled_at=(0, 0, 0), swept=False):
-    """Two bodies fly at each other: the corners of each touch the surface of the other.
+    """Two bodies collide: the vertices of each are in contact with the surface of the other.
 
     Args:
-        shift: Where the world's origin of the unmoved scene lies.
-        turn: How the unmoved scene is turned, before that.
-        modelled_at: Where the meshes lie in their own frames.
+        precision: Precision of the model.
+        device: Warp device.
+        shift: Displacement of the whole scene [m].
+        turn: Rotation of the whole scene, before the displacement.
+        modelled_at: Offset of the meshes in their own frames [m].
+        swept: Whether contacts are swept.
     """
     scene = wc.Scene(gravity=(0, 0, 0))
     shapes = {"one": wc.meshes.box((0.4, 0.3, 0.2)), "two": wc.meshes.icosphere(0.25, 1)}
@@ -60,9 +63,9 @@ def collision(precision, device, *, shift=(0, 0, 0), turn=UNTURNED, modelled_at=
 
 
 def motion_of(sim, shift=(0, 0, 0), turn=UNTURNED):
-    """State of both bodies, taken back to where the unmoved scene lies.
+    """State of both bodies, transformed back to the original scene.
 
-    Orientations are the axes that they turn, and spins are given by the speed of the skin, 0.25 m from the centre.
+    Orientations are given by the rotated axes, and angular velocities by the speed at 0.25 m from the center.
     """
     back = turn * [-1, -1, -1, 1]
     values = []
@@ -76,7 +79,7 @@ def motion_of(sim, shift=(0, 0, 0), turn=UNTURNED):
     return np.array(values)
 
 
-STEPS = 1500  # 0.3 s: they meet after 0.1 s
+STEPS = 1500  # 0.3 s; the bodies collide after 0.1 s
 
 
 @PRECISIONS
@@ -87,10 +90,10 @@ def test_collision_conserves_momentum_and_angular_momentum(swept, precision, dev
     before = {name: sim.model.sensor(name)[0].astype(np.float64) for name in names}
     start, energy = motion_of(sim), sim.model.sensor("scene.kinetic_energy")[0]
     sim.step(STEPS)
-    # They did collide, and friction and law took energy.
+    # They did collide, and friction and law dissipated energy.
     assert np.abs(motion_of(sim) - start)[1] @ np.ones(3) > 0.5
     assert sim.model.sensor("scene.kinetic_energy")[0] < 0.98 * energy
-    # Momenta of order 3 kg·m/s and 1 kg·m²/s, rounded at random in each step: √1500 epsilons, a few times.
+    # Momenta of order 3 kg·m/s and 1 kg·m²/s with random rounding in each step: a few times √1500 epsilons.
     exact = 4 * np.sqrt(STEPS) * {"float32": 1.2e-7, "float64": 2.2e-16}[precision]
     for name in names:
         np.testing.assert_allclose(sim.model.sensor(name)[0], before[name], rtol=0, atol=exact, err_msg=name)
@@ -106,20 +109,21 @@ def test_collision_is_invariant_to_rotation_and_distance_from_the_origin(shift, 
     turn = turn / np.linalg.norm(turn)
     moved = collision(precision, device, shift=shift, turn=turn)
     moved.step(STEPS)
-    # Positions of float64 there are multiples of 1e-13 m. Float32 rounds at the bodies' own scale, wherever: a gap
-    # off by 3e-8 m, under 1e5 N/m·(0.3 s)/(1 kg), is 1e-3 m/s at most; measured, as at the origin, 4e-5 and 6e-6.
+    # Positions in float64 are multiples of 1e-13 m there. float32 rounds at the scale of the bodies, independent
+    # of position: a gap error of 3e-8 m, with 1e5 N/m·(0.3 s)/(1 kg), gives at most 1e-3 m/s. Measured, as at the
+    # origin: 4e-5 and 6e-6.
     exact = {"float32": 1e-4 if turned else 2e-5, "float64": 1e-11}[precision]
     np.testing.assert_allclose(motion_of(moved, shift, turn), motion_of(reference), rtol=0, atol=exact)
 
 
 def test_slow_body_moves_in_float32_far_from_the_origin(device):
-    """In float32, by less in a step than its position is rounded to."""
+    """In float32, by less per step than the rounding of its position."""
     scene = wc.Scene(gravity=(0, 0, 0))
     start, velocity = np.array([1000.0, -0.3, 20.0]), np.array([1e-3, -2e-4, 3e-5])
     scene.add_body(1.0, (1, 1, 1), start, linear_velocity=velocity, name="snail")
     model = scene.build(precision="float32", device=device)
     wc.Simulation(model, dt=1e-4).step(20000)
-    # A step is rounded to 6e-8 of itself and added to half a rounding of the position at most, 3e-5 m.
+    # A step has a relative rounding of 6e-8 and adds at most half a rounding of the position, 3e-5 m.
     exact = 20000 * 0.5 * np.spacing(np.float32(3e-5))
     np.testing.assert_allclose(model.sensor("snail.position")[0] - start, 2.0 * velocity, rtol=2e-7, atol=exact)
 
@@ -130,15 +134,15 @@ def test_collision_is_invariant_to_mesh_origin(precision, device):
     reference.step(STEPS)
     moved = collision(precision, device, modelled_at=difficult_meshes.FAR_AWAY)
     moved.step(STEPS)
-    # Vertices 1 km away are multiples of 1e-13 m in the float64 of a mesh. In float32 that changes the last digit
-    # of some corners seen from the middle, 2e-8 m: through a contact, times 1e5 N/m·(0.3 s)/(1 kg), 1e-3 at most.
+    # Vertices at 1 km are multiples of 1e-13 m in the float64 mesh. In float32 that changes the last digit of some
+    # vertices relative to the center, 2e-8 m. With a contact of 1e5 N/m·(0.3 s)/(1 kg) that gives at most 1e-3.
     exact = {"float32": 1e-3, "float64": 1e-9}[precision]
     np.testing.assert_allclose(motion_of(moved), motion_of(reference), rtol=0, atol=exact)
 
 
 @pytest.mark.parametrize("carried", [False, True])
 def test_gaps_are_exact_far_from_the_world_origin(carried, device):
-    """To rounding at the scale of the mesh, also where points of the world touch a surface of a body."""
+    """Exact to rounding at the scale of the mesh, also for points of the world on a surface of a body."""
     rng = np.random.default_rng(6)
     shift = np.array([1000.1, -700.2, 300.3])
     mesh = wc.meshes.box()

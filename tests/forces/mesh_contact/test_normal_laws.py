@@ -1,4 +1,4 @@
-"""Laws through the whole engine: a real sphere on a real mesh, one environment per case."""
+"""Normal laws in complete steps: a sphere on a mesh, one environment per case."""
 
 import dataclasses
 import json
@@ -14,7 +14,7 @@ from warpcontact.kernels.laws.clamped_dashpot import damping_ratio_of_restitutio
 import warpcontact as wc
 
 RESTITUTION = np.linspace(0.1, 1.0, 10)
-PHASES = 5  # where within a step the contact begins
+PHASES = 5  # phases of the step at which contact begins
 
 
 def bounce(law, restitution=None, *, mass=1.0, speed=1.0, exponent=1.0, steps_per_contact=50, device="cpu"):
@@ -28,14 +28,14 @@ def bounce(law, restitution=None, *, mass=1.0, speed=1.0, exponent=1.0, steps_pe
     start[:, 2] += np.tile(1.0 + np.arange(PHASES) / PHASES, cases) * speed * dt
     model["ball.position"] = start
     sim = wc.Simulation(model, dt=dt)
-    # A weak rebound takes far longer than an elastic contact: wait for e = 0.1.
+    # A weak rebound takes much longer than an elastic contact; the duration covers e = 0.1.
     sim.step(12 * steps_per_contact)
     assert (model.sensor("touch.normal_force") == 0).all()
     return model.sensor("ball.linear_velocity")[:, 2].reshape(cases, PHASES) / speed
 
 
-# At 50 steps per contact time. Where within a step an elastic contact ends costs (π/50)²/8 = 5e-4; the corrections
-# for a dashpot (docs/contact.md) leave an error of second order of about that size.
+# At 50 steps per contact. The phase of the step at which an elastic contact ends costs (π/50)²/8 = 5e-4. The
+# corrections for a dashpot (docs/contact.md) leave a second-order error of about that size.
 TOLERANCE = 1e-3
 
 
@@ -72,7 +72,7 @@ def test_constant_damping_matches_closed_form_restitution(device):
 
 
 def test_effective_mass_includes_both_bodies_at_the_contact_point(device):
-    """Kelvin–Voigt keeps its restitution where the mass that matters is neither body's own."""
+    """Kelvin–Voigt has its restitution also if the effective mass differs from the masses of both bodies."""
     scene = wc.Scene(gravity=(0, 0, 0))
     inertia = (0.02, 0.03, 0.04)
     plate = scene.add_body(3.0, (0.5, 0.5, 1.0), name="plate")
@@ -98,7 +98,7 @@ def test_effective_mass_includes_both_bodies_at_the_contact_point(device):
     before = approach()
     sim.step(int(0.005 / dt) + 1200)
     assert (model.sensor("touch.normal_force") == 0).all()
-    # The lever turns by some milliradians during the contact.
+    # The lever arm rotates by some milliradians during the contact.
     np.testing.assert_allclose(-approach() / before, RESTITUTION, atol=0.01)
 
 
@@ -107,7 +107,7 @@ def test_peak_penetration_and_force_match_hertz_impact(shared, device):
     model = dropped_sphere(wc.laws.Hertz(stiffness=1e6), height=1e-4, device=device)
     sim = wc.Simulation(model, dt=1e-5)
     recording = sim.run(0.02, ["touch.penetration", "touch.normal_force"], every=1e-5)
-    # 1280 steps per contact: the first-order scheme is off by about half of 1/1280.
+    # 1280 steps per contact: the error of the first-order scheme is about half of 1/1280.
     depth = float(recording["touch.penetration"].max())
     np.testing.assert_allclose(depth, oracle["delta_max_closed"], rtol=1e-3)
     np.testing.assert_allclose(depth, greatest_penetration(1e6, 1.5, 1.0, 1.0), rtol=1e-3)
@@ -115,7 +115,7 @@ def test_peak_penetration_and_force_match_hertz_impact(shared, device):
 
 
 def test_published_damping_factors_match_measured_restitution(shared, device):
-    """Every impact of the oracle in one batch: with v₀ = 1 m/s a published factor d is a constant χ = d/v₀."""
+    """All impacts of the oracle in one batch. With v₀ = 1 m/s, a published factor d is a constant χ = d/v₀."""
     oracle = json.loads((shared / "spec" / "oracle_contactps2.json").read_text())["laws"]
     published = {
         "hunt_crossley": lambda e: 1.5 * (1 - e),
@@ -129,7 +129,7 @@ def test_published_damping_factors_match_measured_restitution(shared, device):
     model["touch.law.damping"] = damping
     recording = wc.Simulation(model, dt=5e-6).run(0.02, ["touch.penetration", "touch.normal_force"])
     expected = {key: [oracle[name][key] for name, _, _ in cases] for key in ("delta_max", "Fmax", "e_out")}
-    # About 2600 steps per contact; the velocity that a step sees is half a step old.
+    # About 2600 steps per contact. The velocity in a step is half a step old.
     np.testing.assert_allclose(recording["touch.penetration"].max("time"), expected["delta_max"], rtol=1e-3)
     np.testing.assert_allclose(recording["touch.normal_force"].max("time"), expected["Fmax"], rtol=1e-3)
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], expected["e_out"], rtol=1e-3)
@@ -151,14 +151,14 @@ def test_damping_conversions_match_the_tables(shared):
     table = np.genfromtxt(shared / "laws" / "conversion_table.csv", delimiter=",", skip_header=1)
     e = table[:, 0]
     np.testing.assert_allclose(hunt_crossley.damping_factor_of_restitution(e), table[:, 1], rtol=1e-8)
-    # Printed to eight digits.
+    # The table has eight digits.
     np.testing.assert_allclose(damping_ratio_of_restitution(e), table[:, 3], rtol=1e-7)
 
 
 def test_damping_conversions_are_inverses():
     e = np.concatenate([np.linspace(0.01, 1.0, 500), 1.0 - np.logspace(-8, -2, 50)])
     factor = hunt_crossley.damping_factor_of_restitution(e)
-    # Lambert's W has a branch point at e = 1: half of the digits are left there.
+    # Lambert's W has a branch point at e = 1, so half of the digits are lost there.
     np.testing.assert_allclose(hunt_crossley.restitution_of_damping_factor(factor), e, atol=3e-8)
     ratio = damping_ratio_of_restitution(e)
     np.testing.assert_allclose(restitution_of_damping_ratio(ratio), e, atol=1e-14)
@@ -290,7 +290,7 @@ def test_invalid_laws_are_refused(make, message):
         make()
 
 
-# One law of each kind of damping; thorough checks take all.
+# One law of each kind of damping; all laws with --thorough.
 @pytest.mark.parametrize(
     "law",
     slow_except(
@@ -300,9 +300,9 @@ def test_invalid_laws_are_refused(make, message):
     ids=repr,
 )
 def test_no_law_adds_energy_along_a_closed_path(law, device):
-    """Random smooth paths δ(t) from touch to touch, with reloading: the work on the contact is never negative.
+    """Random smooth paths δ(t) with reloading, δ = 0 at both ends: the work on the contact is never negative.
 
-    Elastic laws give all of it back. History advances by steps too short to move anything.
+    Elastic laws return all of it. History advances by steps too short to move anything.
     """
     paths, frames, duration, depth = 32, 400, 0.05, 2e-3
     rng = np.random.default_rng(10)
@@ -325,7 +325,7 @@ def test_no_law_adds_energy_along_a_closed_path(law, device):
         work += power * duration / frames
         stored += np.abs(power) * duration / frames
         sim.step()
-    # The sum over 400 frames of a path with three waves is good to 1e-3 of the energy that went in and out.
+    # The sum over 400 frames of a path with three waves is accurate to 1e-3 of the exchanged energy.
     assert (work >= -1e-3 * stored).all()
     elastic = ("Hooke", "Hertz", "PowerLaw", "JohnsonCylinder", "PereiraCylinder", "PereiraCylinderExternal")
     if type(law).__name__ in elastic:

@@ -1,4 +1,4 @@
-"""Every law with a restitution against the table of independent integrations, in one batched run."""
+"""All laws with a restitution match a table of independent integrations, in one batched run."""
 
 import json
 
@@ -13,7 +13,7 @@ from warpcontact import laws
 
 RADIUS = 0.05
 
-# law, its column of the table, stiffness
+# Law, its column of the table, stiffness.
 ROWS = [
     (laws.HuntCrossley1975, "hunt_crossley_1975", 1e6),
     (laws.HerbertMcWhannell, "herbert_mcwhannell_1977", 1e6),
@@ -45,15 +45,15 @@ def read_table(path):
 def test_every_law_matches_its_row_of_the_restitution_table(precision, tolerance, shared, device):
     """One body per law, one environment per restitution; impacts of 1 kg at 1 m/s, radius 50 mm.
 
-    dt = 5 µs is 1/2000 of a contact time: what is left is the first-order error of the laws that jump when the
-    approach ends. Kuwabara–Kono and the dashpot of Ristow have no restitution of their own: they take the
-    constants of the tables of conversions.
+    dt = 5 µs is 1/2000 of a contact time. The remaining error is the first-order error of laws that are
+    discontinuous when the approach ends. Kuwabara–Kono and the dashpot of Ristow have no restitution parameter;
+    they use the coefficients of the conversion tables.
     """
     table = read_table(shared / "laws" / "restitution_table.csv")
     e = table["e_prescribed"]
     dashpot = np.genfromtxt(shared / "laws" / "conversion_table.csv", delimiter=",", skip_header=1)
     scene = wc.Scene(gravity=(0, 0, 0))
-    # The bodies move about the origin, where float32 is finest.
+    # The bodies move near the origin, where float32 resolves most.
     ground = scene.add_surface(wc.meshes.grid((4, 4)), position=(0, 0, -RADIUS))
     for law, _, stiffness in ROWS:
         if law is laws.KuwabaraKono:
@@ -75,12 +75,12 @@ def test_every_law_matches_its_row_of_the_restitution_table(precision, tolerance
             reduced = [reduced_viscosity(value) for value in e]
             model[f"{name}.viscosity"] = np.array(reduced) / stiffness**0.4
         elif law is laws.HertzDashpot:
-            # No row for e = 1, which needs no dashpot.
+            # The table has no row for e = 1, which needs no dashpot.
             constants = np.interp(e, np.append(dashpot[:, 0], 1.0), np.append(dashpot[:, 9], 0.0))
             model[f"{name}.damping"] = constants * stiffness**0.4
         else:
             model[f"{name}.restitution"] = e
-    # The softest unloading, e = 0.05 of two stiffnesses, takes ten contact times.
+    # The softest unloading, e = 0.05 with two stiffnesses, takes ten contact times.
     wc.Simulation(model, dt=5e-6).step(24000)
     failures = []
     for law, column, _ in ROWS:
@@ -113,7 +113,7 @@ def test_tsuji_restitution_is_exact_for_any_exponent(device):
 
 
 def force_at(law, depths, device, **velocity):
-    """Normal force of ``law`` at given depths, without and with approach."""
+    """Normal force of ``law`` at given penetrations, without and with approach."""
     model = dropped_sphere(law, velocity=(0, 0, -velocity.get("speed", 0.0)), envs=len(depths), device=device,
                            precision="float64")  # fmt: skip
     position = model["ball.position"].copy()
@@ -137,7 +137,7 @@ def test_johnson_cylinder_inverts_its_formula_over_its_whole_range(device):
     force = force_at(law, depths, device)
     line = np.pi * modulus * length
     back = force / line * (np.log(4 * line * clearance / force) - 1)
-    # A height of 0.1 m holds a depth to 1.4e-17 m.
+    # At a height of 0.1 m, the penetration is accurate to 1.4e-17 m.
     np.testing.assert_allclose(back, depths, rtol=1e-9, atol=1.4e-17)
     beyond = force_at(law, [limit * (1 - 1e-9), limit * (1 + 1e-9), 2 * limit], device)
     np.testing.assert_allclose(beyond, line * np.array([limit, limit, 2 * limit]), rtol=1e-4)
@@ -176,21 +176,21 @@ def test_contact_range_law_hovers_and_bounces_as_closed_form(shared, device):
     scene_options = {"mass": 5.0, "radius": 0.02, "device": device, "precision": "float64"}
     resting = dropped_sphere(law, gravity=(0, 0, -9.81), velocity=(0, 0, 0), **scene_options)
     wc.Simulation(resting, dt=1e-4).step(20000)
-    # The range is the radius of the contact, so the height of the point is its distance.
+    # The contact radius is the range of adhesion, so the height of the point is its distance.
     np.testing.assert_allclose(resting.sensor("ball.position")[0, 2], 0.01950950, rtol=1e-7)
     free = dropped_sphere(law, height=1e-4, **scene_options)
     wc.Simulation(free, dt=2e-5).step(3000)
     np.testing.assert_allclose(free.sensor("ball.linear_velocity")[0, 2], 0.8084243834, rtol=1e-3)
-    assert values  # the oracle file holds the same case
+    assert values  # the oracle file contains the same case
 
 
 def test_elastic_foundation_converges_with_number_of_points(device):
-    """A sphere pressed into a plane: π k δ² (R − δ/3) in the limit, springs on the plane by projected area."""
+    """Sphere pressed onto a plane: the limit is π k δ² (R − δ/3), springs on the plane by projected area."""
     radius, depth, modulus = 0.05, 0.004, 1e9
     expected = 2446.253480
     errors = []
     for count in (20, 40, 80):
-        # Points of the sphere's lower cap in a square grid, each for its projected area.
+        # Points of the lower spherical cap on a square grid, each with its projected area.
         ticks = (np.arange(count) + 0.5) / count * 0.05 - 0.025
         x, y = (axis.ravel() for axis in np.meshgrid(ticks, ticks))
         inside = x**2 + y**2 < 0.024**2
@@ -209,7 +209,7 @@ def test_elastic_foundation_converges_with_number_of_points(device):
 
 
 def test_impact_on_many_points_has_prescribed_restitution(device):
-    """A sphere on a bed of points, each with its own entry speed: within 0.01 of e, and a little below."""
+    """A sphere with many contact points, each with its own impact speed: within 0.01 of e, and slightly below."""
     rng = np.random.default_rng(7)
     radius = 0.05
     place = rng.normal(size=(400, 3))
@@ -225,6 +225,6 @@ def test_impact_on_many_points_has_prescribed_restitution(device):
     model["bed.law.restitution"] = e
     wc.Simulation(model, dt=2e-5).step(6000)
     assert (model.sensor("bed.normal_force") == 0).all()
-    # Points are not placed evenly, so a little of the motion goes into spin.
+    # Points are not evenly spaced, so some energy goes into rotation.
     energy = model.sensor("ball.kinetic_energy")
     np.testing.assert_allclose(np.sqrt(2 * energy), e, atol=0.01)

@@ -1,4 +1,4 @@
-"""Rolling and torsion: couples that friction models make of the rolling and spinning of one body over another."""
+"""Rolling and torsional friction: torques of friction models against relative rotation of two bodies."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ R = 0.05
 
 
 def ball_on_plate(*, gravity=(0.0, 0.0, -G), device="cpu", envs=1, precision="float64", stiffness=1e5, **parts):
-    """A solid ball of 1 kg and 50 mm at rest on a plate, in the weight's z component."""
+    """A solid ball of 1 kg and 50 mm in equilibrium on a plate under the normal weight."""
     scene = wc.Scene(gravity=gravity)
     plate = scene.add_surface(square(100.0), name="plate")
     ball = scene.add_body(1.0, [0.4 * R * R] * 3, position=(0, 0, R + gravity[2] / stiffness), name="ball")
@@ -33,7 +33,7 @@ def test_rolling_resistance_decelerates_ball_as_closed_form(device):
     sim = wc.Simulation(model, dt=1e-3)
     recording = sim.run(14.5, ["ball.linear_velocity"], every=0.1)
     speed = recording["ball.linear_velocity"].sel(axis="x", env=0)
-    # δ/R = 2e-4 of the lever of friction.
+    # δ/R = 2e-4 of the lever arm of friction.
     np.testing.assert_allclose((speed.sel(time=10) - speed.sel(time=2)) / 8, -0.07007142857, rtol=3e-4)
     np.testing.assert_allclose(recording["ball.position"].sel(axis="x", env=0)[-1], 7.135575943, rtol=3e-4)
     assert abs(float(speed[-1])) < 1e-5
@@ -41,7 +41,7 @@ def test_rolling_resistance_decelerates_ball_as_closed_form(device):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_rolling_spring_holds_ball_on_a_slope(precision, device):
-    """Type C: at rest below tan θ = μ_r, and rolling above with a = (5/7) g (sin θ − μ_r cos θ)."""
+    """Type C: at rest below tan θ = μ_r; above, rolling with a = (5/7) g (sin θ − μ_r cos θ)."""
     spring = F.CundallStrack(mu_static=0.05, mu_dynamic=0.05, stiffness=2e4, damping=100.0)
     model = ball_on_plate(rolling=spring, envs=3, device=device, precision=precision)
     slope = np.arctan([0.02, 0.045, 0.1])
@@ -50,7 +50,7 @@ def test_rolling_spring_holds_ball_on_a_slope(precision, device):
     sim.step(2500)
     place, speed = model.sensor("ball.position")[:, 0], model.sensor("ball.linear_velocity")[:, 0]
     sim.step(2500)
-    # A spring takes no less than half a rounding of its stretch, 2e-5 m at most, in a step.
+    # A spring ignores displacements per step below half a rounding of its stretch, at most 2e-5 m.
     unfelt = 2500 * 0.5 * np.spacing(np.array(2e-5, precision))
     np.testing.assert_allclose(model.sensor("ball.position")[:2, 0], place[:2], rtol=1e-6, atol=unfelt)
     assert (place[:2] < 1e-4).all()
@@ -60,8 +60,8 @@ def test_rolling_spring_holds_ball_on_a_slope(precision, device):
 
 
 def test_ball_on_slope_rolls_or_slips_as_closed_form(device):
-    # FORCE_LAWS G11: 25°, (5/7) g sin θ = 2.961346534 m/s² above μ = 0.1332307595; at μ = 0.05 it slips at
-    # 3.701341178 m/s² and spins up at 1.111359924 m/s² over R.
+    # FORCE_LAWS G11: 25°, (5/7) g sin θ = 2.961346534 m/s² above μ = 0.1332307595. At μ = 0.05 it slips with
+    # 3.701341178 m/s², and its angular acceleration is 1.111359924 m/s² over R.
     slope = np.radians(25.0)
     gravity = (G * np.sin(slope), 0, -G * np.cos(slope))
     model = ball_on_plate(gravity=gravity, stiffness=1e6, envs=3, device=device)
@@ -75,7 +75,7 @@ def test_ball_on_slope_rolls_or_slips_as_closed_form(device):
     acceleration = (model.sensor("ball.linear_velocity")[:, 0] - speed) / 0.5
     spinning = (model.sensor("ball.angular_velocity")[:, 1] - spin) / 0.5 * R
     assert spinning[1] < 0.98 * acceleration[1]
-    # δ/R = 2e-4 of the lever of friction.
+    # δ/R = 2e-4 of the lever arm of friction.
     np.testing.assert_allclose(acceleration[[0, 2]], [3.701341178, 2.961346534], rtol=3e-4)
     np.testing.assert_allclose(spinning[[0, 2]], [1.111359924, 2.961346534], rtol=4e-4)
 
@@ -86,7 +86,8 @@ def test_ball_in_groove_rolls_as_closed_form(device):
     scene = wc.Scene(gravity=(G * np.sin(slope), 0, -G * np.cos(slope)))
     friction = F.CundallStrack(mu_static=0.2, mu_dynamic=0.2, stiffness=1e6, damping=100.0)
     material = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e6, damping=200.0), friction=friction)
-    # Let down as deep as it will lie: sinking in, it would stretch the sticking springs across, which then carry.
+    # Starts at the equilibrium penetration. Otherwise the tangential springs would stretch sideways and carry
+    # load.
     depth = 0.6644630244 * G / 1e6
     ball = scene.add_body(1.0, [0.4 * R * R] * 3, position=(0, 0, (R - depth) * np.sqrt(2)), name="ball")
     centre = scene.add_point(ball, (0, 0, 0))
@@ -123,13 +124,13 @@ def test_torsional_friction_stops_spinning_ball_as_closed_form(device):
     recording = wc.Simulation(model, dt=1e-3).run(29.0, ["ball.angular_velocity"], every=0.01)
     spin = recording["ball.angular_velocity"].sel(axis="z")
     stops = [float(spin.time[np.argmax(spin.values[:, i] < 0.02)]) for i in range(2)]
-    # A frame, and the last hundredth rad/s by the smoothed model.
+    # One frame, and the last 0.01 rad/s of the regularized model.
     np.testing.assert_allclose(stops, [25.48419980, 28.84221417], atol=0.03)
     np.testing.assert_allclose(spin[1000], 50.0 - 10.0 * 0.3 * G * arms / 1e-3, rtol=1e-4)
 
 
 def test_torsion_radius_follows_the_overlap(device):
-    """(3π/16) √(R δ) μ N, in every environment with its own load."""
+    """(3π/16) √(R δ) μ N, with a different load in each environment."""
     mass = np.array([0.5, 1.0, 4.0])
     law = wc.laws.Hertz(stiffness=1e7)
     scene = wc.Scene(gravity=(0, 0, -G))
@@ -149,7 +150,7 @@ def test_torsion_radius_follows_the_overlap(device):
     mu_static=0.4, mu_dynamic=0.3, stribeck_speed=0.01, stiffness=1e4, damping=3.0)], ids=["Tanh", "LuGre"],
 )  # fmt: skip
 def test_rolling_and_torsional_torques_are_reciprocal_and_dissipative(stop, device):
-    """A ball against a free plate: what one loses of momentum and spin the other gains, and energy falls."""
+    """A ball against a free plate: linear and angular momentum are conserved, and energy decreases."""
     scene = wc.Scene(gravity=(0, 0, 0))
     carrier = scene.add_body(3.0, (0.2, 0.3, 0.4), position=(0, 0, -0.1), name="carrier")
     plate = scene.add_surface(square(), carrier, position=(0, 0, 0.1))
@@ -167,15 +168,15 @@ def test_rolling_and_torsional_torques_are_reciprocal_and_dissipative(stop, devi
     linear, angular, energy = (recording[name].values[:, 0] for name in names[:3])
     couple = np.abs(recording["touch.torque"].values[:, 0])
     assert (couple.max(axis=0) > 0.1).all()
-    assert couple[-1].max() == 0.0  # it has left
+    assert couple[-1].max() == 0.0  # contact has ended
     np.testing.assert_allclose(linear, linear[:1].repeat(len(linear), 0), atol=1e-12)
-    # r × m v about the world's origin: the positions of a step are those before its forces.
+    # r × m v about the origin of the world; r is the position before the forces of the step.
     np.testing.assert_allclose(angular[-1], angular[0], atol=1e-4 * np.linalg.norm(angular[0]))
     assert energy[-1] < energy[0] - 1e-2
 
 
 def test_rolling_resistance_opposes_motion_in_any_direction(device):
-    """The couple is −μ_r R N ω_t/|ω_t|, whatever the tangent direction; spin about the normal adds nothing."""
+    """The torque is −μ_r R N ω_t/|ω_t| for any tangential direction; spin about the normal does not change it."""
     rng = np.random.default_rng(4)
     spins = rng.normal(size=(20, 3)) * 10
     model = ball_on_plate(rolling=F.CoulombThreshold(mu=0.02, threshold=1e-6), envs=20, device=device)

@@ -1,4 +1,4 @@
-"""Static friction under a load that acts suddenly: the spring of a friction overshoots, and damping bounds it."""
+"""Static friction under a sudden load: the tangential spring overshoots, and damping limits the overshoot."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,8 @@ OVERSHOOT = {0.0: 1.0, 0.5: np.exp(-2.0 * np.pi / 3.0 / np.sqrt(3.0)), 1.0: np.e
 def slide_of_blocks(device, slope, mu_static, damping):
     """Returns the displacements [m] of blocks of 1 kg, 0.3 s after they are placed on a slope.
 
-    Each is in an environment of its own. They start in equilibrium along the normal, with the spring at rest.
+    Each block is in a separate environment. They start in normal equilibrium, with an unstretched tangential
+    spring.
     """
     scene = wc.Scene(gravity=(G * np.sin(slope), 0.0, -G * np.cos(slope)))
     ground = scene.add_surface(square(50.0), name="ground")
@@ -33,7 +34,7 @@ def slide_of_blocks(device, slope, mu_static, damping):
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_block_sticks_if_the_overshooting_load_is_below_static_friction(device):
-    # F (1 + o) ≤ μ_s N: 2 % above and below, for three damping ratios; μ_d N < F, so what slides never stops.
+    # F (1 + o) ≤ μ_s N: 2 % above and below, for three damping ratios. As μ_d N < F, a sliding block never stops.
     ratio = np.repeat(list(OVERSHOOT), 2)
     mu_static = 0.5 * (1.0 + np.repeat(list(OVERSHOOT.values()), 2)) * np.tile([1.02, 0.98], 3)
     slide = slide_of_blocks(device, np.arctan(0.5), mu_static, 2.0 * ratio * np.sqrt(STIFFNESS))

@@ -1,4 +1,4 @@
-"""Surfaces against surfaces: laws per area, closed forms in the limit, and both bookkeepings of sides."""
+"""Surface contact: laws per area, closed forms in the limit, and both assignments of sides."""
 
 from typing import Any
 
@@ -11,15 +11,15 @@ import warpcontact as wc
 from warpcontact import laws, sample_surface
 
 RADIUS, DEPTH, MODULUS = 0.05, 0.004, 1.0e9
-# A bed of springs on the sphere, each pushing along the normal of the plane: π k R δ², true area.
+# Springs on the sphere, each acting along the normal of the plane, with true area: π k R δ².
 SPHERE_BED = 2513.274123
-# A bed on the plane, each spring pushing along the normal of the sphere, at the distance s from its centre:
-# 2π k (R − δ) ∫ (R − s) ds over s from R − δ to R.
+# Springs on the plane, each acting along the normal of the sphere, at distance s from its center: 2π k (R − δ) ∫
+# (R − s) ds over s from R − δ to R.
 PLANE_BED = np.pi * MODULUS * DEPTH**2 * (RADIUS - DEPTH)
 
 
 class Suction(wc.Law):
-    """A law of a user's own that leaves its area to the points: N = p a δ/h."""
+    """A custom law whose area is set per point: N = p a δ/h."""
 
     pressure: float = wc.parameter("Pa", "pressure p", above=0.0)
     depth: float = wc.parameter("m", "depth h", above=0.0)
@@ -31,7 +31,7 @@ class Suction(wc.Law):
 
 
 class Felt(wc.Friction):
-    """A friction per area: F = −c a v."""
+    """A custom friction per area: F = −c a v."""
 
     drag: float = wc.parameter("N·s/m³", "drag c per area", at_least=0.0)
     area: float | None = wc.parameter("m²", "area a", default=None, above=0.0)
@@ -42,7 +42,7 @@ class Felt(wc.Friction):
 
 
 def pressed_sphere(device, *, swap=False, subdivisions=5, depth=DEPTH, material=None, **options):
-    """Returns the model of a meshed sphere held ``depth`` deep in a square, and the names of the contacts."""
+    """Returns the model of a meshed sphere at penetration ``depth`` in a square, and the names of the contacts."""
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(0.03), name="ground")
     ball = scene.add_body(1.0, [1e-3] * 3, position=(0, 0, RADIUS - depth), name="ball")
@@ -61,7 +61,7 @@ def force(device, **options):
 def test_meshed_sphere_on_plane_converges_to_elastic_foundation(samples, device):
     errors = [abs(force(device, samples=samples, subdivisions=n) / SPHERE_BED - 1.0) for n in (3, 4, 5)]
     assert errors[-1] < 0.007
-    # Of second order in the edges of the mesh, which halve each time.
+    # Second order in the edge length of the mesh, which is halved each time.
     order = np.log2(errors[0] / errors[-1]) / 2.0
     assert order > 1.8
 
@@ -71,7 +71,7 @@ def test_blue_noise_samples_converge_to_elastic_foundation(device):
     for count in (250, 1000, 4000):
         values = [force(device, samples=count, seed=seed, subdivisions=6) / SPHERE_BED - 1.0 for seed in range(3)]
         errors.append(np.sqrt(np.mean(np.square(values))))
-    # 4 % of the points touch: 10, 40 and 160. The facets of the mesh leave 0.15 %.
+    # 4 % of the points are in contact: 10, 40 and 160. The facets of the mesh leave 0.15 %.
     assert errors[1] < 0.02
     assert errors[2] < 0.004
     assert errors[2] < 0.2 * errors[0]
@@ -80,9 +80,9 @@ def test_blue_noise_samples_converge_to_elastic_foundation(device):
 def test_samples_of_the_plane_converge_to_elastic_foundation_on_the_plane(device):
     errors = [abs(force(device, swap=True, samples=4000, subdivisions=n) / PLANE_BED - 1.0) for n in (3, 4, 5)]
     assert errors[-1] < 0.006
-    # The facets lie inside of the sphere, by the square of their edges.
+    # The facets are inside the sphere, by the square of their edge length.
     assert np.log2(errors[0] / errors[-1]) / 2.0 > 1.8
-    # 250 points, of which 25 touch, add little to that.
+    # 250 points, of which 25 are in contact, add little error.
     assert abs(force(device, swap=True, samples=250) / PLANE_BED - 1.0) < errors[-1] + 0.005
 
 
@@ -91,7 +91,7 @@ def test_average_of_sides_is_the_mean_of_both(device):
     first = force(device, **options)
     second = force(device, swap=True, **options)
     assert force(device, sides="average", **options) == pytest.approx(0.5 * (first + second), rel=1e-12)
-    # The closed forms differ by δ/R: bookkeepings of one contact describe two different beds.
+    # The closed forms differ by δ/R, because the two sides of one contact describe two different foundations.
     np.testing.assert_allclose(PLANE_BED / SPHERE_BED, 1.0 - DEPTH / RADIUS, rtol=1e-9)
 
 
@@ -109,8 +109,8 @@ def test_one_sided_and_averaged_contact_agree_on_flat_faces(samples, device):
         scene.add_surface_contact(sole, ground, law, samples=amount, sides=sides, name="press")
         found[sides] = scene.build(device=device, precision="float64").sensor("plate.force")[0, 2]
     exact = 1.0e8 * side**2 * depth
-    # The points of the sole are all of it. Of the ground those count that are under it: cells at its rim are
-    # in or out, of which there are 4 side/d, each half a cell wrong one way or the other.
+    # The points of the upper plate cover all of it. Points of the ground count if they are below the plate: 4
+    # side/d grid cells at its boundary are counted or not, each with an error of half a cell.
     assert found["first"] == pytest.approx(exact, rel=1e-9)
     cell = 0.2 / np.sqrt(samples[1])
     assert found["average"] == pytest.approx(exact, rel=0.5 * cell / side)
@@ -149,7 +149,7 @@ def test_free_collision_of_two_meshes_conserves_momentum(sides, device):
 def test_force_scale_applies_to_all_forces_and_torques(device):
     material = wc.ContactMaterial(
         law=laws.KelvinVoigt(stiffness=1e5, damping=10.0),
-        # Not in proportion to N, so that a share of N alone would not divide it.
+        # Not proportional to N, so that scaling N alone would not scale the friction.
         friction=Felt(drag=3.0, area=1.0),
         rolling=wc.friction.Tanh(mu=0.1),
         torsion=wc.friction.Tanh(mu=0.1),
@@ -200,7 +200,7 @@ def test_law_uses_areas_of_the_points(law, pressure, device):
     depth = np.array([1e-3, 2e-3])
     np.testing.assert_allclose(model["press.law.area"], [areas, areas])
     np.testing.assert_allclose(model.sensor("press.normal_force"), [pressure * areas * depth] * 2, rtol=1e-12)
-    # They stay a parameter, per point and per environment.
+    # Areas are parameters, per point and per environment.
     model["press.law.area"] = [[2e-4, 1e-4], [1e-4, 5e-4]]
     np.testing.assert_allclose(
         model.sensor("press.normal_force")[1], pressure * np.array([1e-7, 1e-6]), rtol=1e-12
@@ -245,7 +245,9 @@ def test_laws_and_friction_models_per_area_can_be_compared(device):
 
 
 def test_points_of_a_surface_move_with_it(device):
-    """They lie on it whatever its pose, in each environment: at distance zero from a twin that has the same."""
+    """Sample points lie on the surface for any pose, in each environment: the distance to a copy of the surface is
+    zero.
+    """
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
     body = scene.add_body(1.0, [1e-2] * 3, (0, 0, 1), (0, 0.6, 0, 0.8), name="body")
@@ -271,7 +273,7 @@ def test_points_of_a_surface_move_with_it(device):
     gap = model.sensor("touch.gap")
     np.testing.assert_allclose(gap[0], expected((0.1, 0, 0), (0.8, 0, 0.6, 0), local), atol=1e-14)
     np.testing.assert_allclose(gap[1], expected((0.2, 0.3, 0.4), (0.8, 0, 0.6, 0), local), atol=1e-14)
-    # The points themselves stay parameters, in the frame of the mesh.
+    # The points are parameters, in the frame of the mesh.
     model["corners.position"] = [[(0, 0, 0), (0, 0, 0.15)]]
     gap = model.sensor("touch.gap")[1]
     np.testing.assert_allclose(gap, expected((0.2, 0.3, 0.4), (0.8, 0, 0.6, 0), [(0, 0, 0), local[1]]), atol=1e-14)
@@ -281,7 +283,7 @@ def test_points_of_a_surface_move_with_it(device):
     "law", [laws.ElasticFoundation(stiffness=1e8), laws.ElasticFoundation(stiffness=1e8, area=1e-3)]
 )
 def test_areas_scale_with_their_surface(law, device):
-    """A box of 2 m, a box of 1 m twice as large, and one made so in one environment: the same force."""
+    """A box of 2 m, a box of 1 m with scale 2, and the same scale in one environment: equal forces."""
     found = {}
     for size, scale in ((2.0, 1.0), (1.0, 2.0), (1.0, 1.0)):
         scene = wc.Scene(gravity=(0, 0, 0))
@@ -327,7 +329,7 @@ def test_surface_contact_creates_named_points_and_contacts_of_both_sides():
 
 
 def test_each_mesh_of_a_surface_has_its_own_points(device):
-    """What the message says to do: a box in one environment, a ball in the other, pressed 1 mm."""
+    """The remedy of the error message: a box in one environment, a ball in the other, penetration 1 mm."""
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
     body = scene.add_body(1.0, [1.0] * 3, position=(0, 0, 0.499), name="body")

@@ -1,4 +1,4 @@
-"""scale and choice of a mesh: the same as another mesh, in every environment by itself."""
+"""Scale and mesh index of a surface equal the use of another mesh, in each environment."""
 
 import difficult_meshes
 import numpy as np
@@ -36,9 +36,9 @@ def test_scaled_surface_equals_mesh_with_scaled_vertices(scale, precision, devic
         size = (larger.bounds[1] - larger.bounds[0]).max()
         options = {"radius": 0.1 * scale, "kappa": 0.3, "precision": precision, "device": device}
         scaled, plain = probe(mesh, points, scale=scale, **options), probe(larger, points, **options)
-        # A few roundings of the coordinates, at most four times the size.
+        # A few roundings of the coordinates, which are at most four times the size.
         length = {"float32": 4e-6, "float64": 1e-14}[precision] * size
-        # Powers of two change no digit.
+        # Powers of two are exact.
         length *= np.log2(scale) % 1 != 0
         tolerances = {"gap": length, "penetration": length, "point": length, "normal_force": 1e4 * length}
         for name, atol in tolerances.items():
@@ -81,7 +81,7 @@ def test_surface_scale_per_environment_equals_separate_scenes(precision, device)
             np.testing.assert_array_equal(values[0], together[name][env], err_msg=f"{name} at scale {scale}")
 
 
-# Their bounds have one middle, from which the kernels see them.
+# Their bounding boxes have the same center, to which the mesh tables are relative.
 CHOICE = (wc.meshes.icosphere(0.6, 2), wc.meshes.box((1.2, 1.2, 1.2)), wc.meshes.icosphere(0.6, 0))
 
 
@@ -118,7 +118,7 @@ def test_surface_scale_and_mesh_index_can_change_between_steps(precision, device
     sim.step(3)
     distance = np.linalg.norm((0.4, 0.4, 0.6)) - 0.5
     np.testing.assert_allclose(model.sensor("touch.gap")[0], 0.1, atol=1e-6)
-    # A facet lies up to h²/6 inside the ball, h = 0.08.
+    # A facet is up to h²/6 inside the ball, h = 0.08.
     np.testing.assert_allclose(model.sensor("touch.gap")[1], distance, atol=2e-3)
     model["ground.scale"] = [1.5, 1.0]
     sim.step(3)

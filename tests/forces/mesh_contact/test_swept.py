@@ -1,4 +1,4 @@
-"""swept=True: what is too fast for a thin plate is caught on the side that it came from."""
+"""swept=True: points that cross a thin plate within a step are held on the side they came from."""
 
 import difficult_meshes
 import numpy as np
@@ -8,7 +8,7 @@ import warpcontact as wc
 from warpcontact import ContactStatus
 
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
-# A spring that stops 1 kg within 0.3 m, in a tenth of a second: dt = 1e-2 resolves it, but not a plate of 2 mm.
+# A spring that stops 1 kg within 0.3 m and 0.1 s: dt = 1e-2 resolves it, but not the crossing of a 2 mm plate.
 SPRING = wc.laws.Hooke(stiffness=1e3)
 BOUNCE = np.pi * np.sqrt(1.0 / 1e3)
 
@@ -19,11 +19,11 @@ def shoot_balls(
     """Returns a simulation of one ball of 1 kg per environment, shot at a surface in free space.
 
     Args:
-        mesh: Of the surface.
+        mesh: Mesh of the surface.
         start: Positions (envs, 3).
         velocity: Velocities (envs, 3).
         carrier: Motion of a body that carries the surface, as for ``add_body``; ``None``: it is fixed.
-        contact: For ``add_contact``.
+        contact: Keywords of ``add_contact``.
     """
     scene = wc.Scene(gravity=(0, 0, 0))
     body = scene.add_body(1e9, (1e9, 1e9, 1e9), name="carrier", **carrier) if carrier else None
@@ -39,15 +39,15 @@ def shoot_balls(
 
 
 def fan_of_shots(count, side, seed=1):
-    """Aims at faces, edges and corners of the default plate, steeply and flat, from one side at 10 m/s.
+    """Aims at faces, edges and vertices of the default plate, steeply and flat, from one side at 10 m/s.
 
-    Returns starts, velocities and aims (count, 3); nothing comes near the rim within a bounce.
+    Returns starts, velocities and aims (count, 3). No ball comes near the boundary during a bounce.
     """
     rng = np.random.default_rng(seed)
     third = count // 3
     cells = rng.integers(-2, 3, (count, 2)) * 0.25
     aim = rng.uniform(-0.5, 0.5, (count, 2))
-    aim[:third] = cells[:third]  # corners of the triangulation
+    aim[:third] = cells[:third]  # vertices of the triangulation
     along = rng.random((third, 1))
     edges = np.array([(0.25, 0.0), (0.0, 0.25), (0.25, 0.25), (0.25, -0.25)])[rng.integers(4, size=third)]
     aim[third : 2 * third] = cells[third : 2 * third] + along * edges
@@ -82,7 +82,7 @@ def test_fast_spheres_do_not_pass_through_a_thin_plate_with_swept(entry, side, r
     assert (speed > 0).all(), f"{(speed <= 0).sum()} of {len(speed)} went through"
     assert (height > 0).all()
     assert (sim.model.sensor("touch.status") == ContactStatus.OPEN).all()
-    # One that begins h = v t too deep comes back with √(1 + ω² t²) of its speed, t ≤ dt.
+    # A ball that starts h = v t too deep returns with √(1 + ω² t²) of its speed, t ≤ dt.
     gain = speed / np.abs(velocity[:, 2])
     assert gain.max() < np.sqrt(1 + 1e3 * dt**2) + 0.1
 
@@ -106,13 +106,13 @@ def test_crossings_are_counted_and_timed(precision, device):
     sim.step(20)
     assert (sim.model.sensor("touch.crossings") == 1).all()
     due = (start[:, 2] - aims[:, 2]) / -velocity[:, 2]
-    # Positions of order one, at 10 m/s; the time itself is of order 0.02.
+    # Positions of order one at 10 m/s; the time itself is of order 0.02.
     exact = {"float32": 1e-6 / 9, "float64": 1e-14 / 9}[precision]
     np.testing.assert_allclose(sim.model.sensor("touch.crossing_time"), due, rtol=0, atol=exact)
 
 
 def test_crossing_times_late_in_a_run_are_precise(device):
-    """The clock runs in float64: what is left of a step is taken from that, and rounded once."""
+    """The clock is in float64. The remainder of the step is subtracted in float64 and rounded once."""
     start, velocity, aims = fan_of_shots(300, 1.0)
     sim = shoot_balls(difficult_meshes.plate(), start, velocity, dt=1e-2, precision="float32", device=device)
     late = 1000.3
@@ -147,7 +147,7 @@ def test_reset_clears_crossings_and_latched_faces(precision, device):
 @pytest.mark.parametrize("radius", [0.0, 1e-3])
 def test_fast_points_do_not_pass_through_a_rotating_moving_plate(radius, precision, device):
     start, velocity, _ = fan_of_shots(600, 1.0)
-    # The plate flies towards the balls and spins in its plane; it wobbles about the other axes as well.
+    # The plate flies towards the balls and rotates mainly in its plane, with some rotation about the other axes.
     carrier = {"linear_velocity": (0.5, -0.3, 3.0), "angular_velocity": (0.4, -0.3, 5.0)}
     sim = shoot_balls(
         difficult_meshes.plate((6.0, 6.0), cells=(24, 24)),
@@ -175,7 +175,7 @@ def position_in_frame_of(model, body, other):
 
 @PRECISIONS
 def test_swept_point_with_long_step_contacts_the_face_it_ends_over(precision, device):
-    """A step of a metre over a hundred cells: the walk from the face it crossed is as long."""
+    """A step of 1.3 m across more than a hundred faces: the walk from the crossed face must be as long."""
     mesh = difficult_meshes.plate((2.0, 0.2), cells=(200, 20))
     start, velocity = np.array([[-0.8, 0.013, 0.05]]), np.array([[130.0, 0.3, -10.0]])
     sim = shoot_balls(mesh, start, velocity, dt=1e-2, precision=precision, device=device)
@@ -188,7 +188,7 @@ def test_swept_point_with_long_step_contacts_the_face_it_ends_over(precision, de
 @pytest.mark.parametrize("parts", [1, 4])
 @pytest.mark.parametrize("entry", ["literal", "latched"])
 def test_search_radius_does_not_hide_a_crossing(entry, parts, precision, device):
-    """It has never been near enough to be seen."""
+    """The point was never within the search radius."""
     sim = shoot_balls(
         difficult_meshes.plate(), [[0.1, 0.2, 0.05]], [[0, 0, -10.0]], dt=1e-2, precision=precision, device=device,
         search_radius=0.03, entry=entry, crossing_substeps=parts,
@@ -216,14 +216,14 @@ def test_point_on_the_inner_side_is_not_armed_by_a_crossing(precision, device):
         )  # fmt: skip
         assert sim.model.sensor("touch.status").tolist() == [status]
         sim.step()
-        # Whoever was not seen may have come from outside: there is nothing to say against it.
+        # A point with status FAR can have come from the outer side, so its crossing counts.
         assert sim.model.sensor("touch.crossings").tolist() == [int(status == ContactStatus.FAR)]
 
 
 @PRECISIONS
 @pytest.mark.parametrize("gap", [0.02, 0.05, 0.09])
 def test_ball_between_two_plates_stays_between_them(gap, precision, device):
-    """It may come out of one and go into the other within one step."""
+    """A ball may leave one plate and enter the other within one step."""
     lower, upper = (difficult_meshes.moved(difficult_meshes.plate(cells=(2, 2)), (0, 0, z)) for z in (0.0, gap))
     both = wc.Mesh(
         np.concatenate([lower.vertices, upper.vertices]),
@@ -247,7 +247,9 @@ def test_ball_between_two_plates_stays_between_them(gap, precision, device):
 
 @PRECISIONS
 def test_rolling_ball_does_not_pass_through_a_wall_of_the_same_surface(precision, device):
-    """It touches the floor all the time, and the wall is a part of the same surface, but not joined to it."""
+    """The ball is in contact with the floor at all times. The wall belongs to the same surface but is not
+    connected.
+    """
     floor, wall = wc.meshes.grid((4.0, 4.0), (4, 4)), difficult_meshes.plate((0.5, 2.0), cells=(2, 2))
     upright = np.column_stack([wall.vertices[:, 2] + 1.0, wall.vertices[:, 1], 0.3 - wall.vertices[:, 0]])
     both = wc.Mesh(
@@ -296,7 +298,7 @@ def test_disabled_contact_lets_points_pass_and_counts_no_crossing(precision, dev
 
 @PRECISIONS
 def test_point_leaving_over_the_boundary_is_open(precision, device):
-    """It crosses a centimetre from the rim and is beyond it when the step ends."""
+    """The point crosses 1 cm inside the boundary and is outside the boundary at the end of the step."""
     start, velocity = np.array([[0.98, 0.1, 0.011]]), np.array([[10.0, 0.0, -10.0]])
     sim = shoot_balls(difficult_meshes.plate(), start, velocity, dt=1e-2, precision=precision, device=device)
     sim.step(20)

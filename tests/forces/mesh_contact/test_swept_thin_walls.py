@@ -1,4 +1,4 @@
-"""swept=True against thin walls that are curved or meet at angles: nothing comes out on the other side of them."""
+"""swept=True against thin walls that are curved or meet at an angle: no point passes through."""
 
 import difficult_meshes
 import numpy as np
@@ -13,7 +13,7 @@ COUNT = 1000
 
 
 def shell(mesh, thickness=2e-3):
-    """A closed mesh about the origin and the same a little smaller inside of it: a wall about a cavity."""
+    """A closed mesh about the origin and a slightly smaller inverted copy inside: a wall around a cavity."""
     inner = (1.0 - thickness) * mesh.vertices
     return wc.Mesh(
         np.concatenate([mesh.vertices, inner]), np.concatenate([mesh.faces, mesh.faces[:, ::-1] + len(inner)])
@@ -21,7 +21,7 @@ def shell(mesh, thickness=2e-3):
 
 
 def at_edges_and_corners(rng):
-    """Starts in a box of 2 m, and aims at its edges and corners, in turn."""
+    """Starts inside a box of 2 m; aims at its edges and vertices, in turn."""
     aim = rng.uniform(-1, 1, (COUNT, 3))
     axis, item = rng.integers(3, size=COUNT), np.arange(COUNT)
     for one in (axis, (axis + 1) % 3):
@@ -31,13 +31,13 @@ def at_edges_and_corners(rng):
 
 
 def all_around(rng):
-    """Starts in a ball of radius 1, and aims at all of it."""
+    """Starts inside a ball of radius 1; aims in all directions."""
     aim = rng.normal(size=(COUNT, 3))
     return rng.uniform(-0.4, 0.4, (COUNT, 3)), aim / np.linalg.norm(aim, axis=1)[:, None]
 
 
 def assert_contained(mesh, start, aim, speed, stiffness, steps, *, within, **options):
-    """Shoots from within, and asserts that what is not within at any time is held by the side it came from."""
+    """Shoots from inside; asserts that a point outside at any time has a contact force towards the inside."""
     away = aim - start
     velocity = speed * away / np.linalg.norm(away, axis=1)[:, None]
     law = wc.laws.Hooke(stiffness=stiffness)
@@ -78,7 +78,7 @@ def test_points_do_not_leave_a_hollow_sphere(speed, stiffness, steps, entry, pre
 @ENTRIES
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
 def test_points_do_not_pass_walls_at_an_acute_angle(stiffness, entry, precision, device):
-    """From beyond such an edge, the face that was left looks as near as the one that was come over."""
+    """Beyond such an edge, the face that the point left is as near as the one that it crossed."""
     mesh = difficult_meshes.moved(difficult_meshes.tetrahedron(), np.full(3, -0.25))
     rng = np.random.default_rng(0)
 
@@ -97,7 +97,7 @@ def test_points_do_not_pass_walls_at_an_acute_angle(stiffness, entry, precision,
 @PRECISIONS
 @ENTRIES
 def test_crossed_box_does_not_hide_the_wall_behind_it(entry, precision, device):
-    """In by the top of a box, out by its side, and into the plate under it: all in one step."""
+    """In through the top of a box, out through its side, and into the plate under it, all in one step."""
     box, plate = wc.meshes.box((0.2, 0.2, 0.2)), difficult_meshes.moved(difficult_meshes.plate(), (0, 0, -0.2))
     both = wc.Mesh(
         np.concatenate([box.vertices, plate.vertices]),

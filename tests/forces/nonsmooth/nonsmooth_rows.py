@@ -1,4 +1,4 @@
-"""Steps of nonsmooth contact made by hand: bodies and rows in NumPy, their dense system, the device solvers on them."""
+"""Handmade problems of one nonsmooth step: bodies and rows in NumPy, their dense system, and device solvers."""
 
 from dataclasses import dataclass, field
 
@@ -10,17 +10,17 @@ from warpcontact.kernels.nonsmooth.velocity_update import velocity_change_struct
 from warpcontact.kernels.types import WORLD, LaunchRange
 
 SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
-#: Where they run.
+# Device of the solvers.
 DEVICE = "cpu"
 UP = np.array([0.0, 0.0, 1.0])
 G = 9.81
-#: Time that gravity has had before a step [s].
+# Time during which gravity acted before the step [s].
 DT = 1e-2
 HALF = 0.05  # half an edge of the boxes of a tower [m]
 
 
 def cross(a):
-    """The matrix of a ×."""
+    """Matrix of the cross product a ×."""
     return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
 
 
@@ -33,7 +33,7 @@ def frame(n):
 
 
 def project(z, mu):
-    """The point of Coulomb's cone nearest to z."""
+    """Projection of z onto Coulomb's cone."""
     across = np.linalg.norm(z[1:])
     if across <= mu * z[0]:
         return z
@@ -62,8 +62,8 @@ class Step:
     """Bodies and contacts of one environment.
 
     Args:
-        inverse_masses: Of the bodies, 6 × 6 each, [[A, B], [Bᵀ, C]], or pairs (mass, inertia in W).
-        velocities: Without contact, (linear, angular) each.
+        inverse_masses: Inverse masses of the bodies, 6 × 6 each, [[A, B], [Bᵀ, C]], or pairs (mass, inertia in W).
+        velocities: Velocities without contact, (linear, angular) each.
         rows: The contacts.
     """
 
@@ -72,14 +72,14 @@ class Step:
         self.inverse = np.array([_inverse(m) for m in inverse_masses])
         self.velocity = np.array([np.concatenate(v) for v in velocities], float)
         self.rows = rows
-        self.still = False  # whether nothing moved before the step
+        self.still = False  # whether all bodies were at rest before the step
 
     @property
     def rolls(self):
         return any(row.rolling or row.spinning for row in self.rows)
 
     def guess(self, impulses):
-        """Takes impulses as the guess."""
+        """Sets the warm start."""
         for row, impulse in zip(self.rows, impulses, strict=True):
             row.impulse = impulse
 
@@ -105,7 +105,7 @@ class Step:
         return H @ M @ H.T, q
 
     def residual(self, impulses, velocity):
-        """Natural-map residual of impulses in W and the velocities (body, 6) that go with them."""
+        """Natural-map residual of impulses in W with the velocities (body, 6) of the bodies."""
         W, q = self.dense()
         w = self.jacobian() @ velocity.ravel()
         w[::3] -= [row.restitution_speed for row in self.rows]
@@ -120,7 +120,7 @@ class Step:
         return worst
 
     def speeds(self, q):
-        """V of each row: the largest velocity without contact of those that bodies connect with it."""
+        """V of each row: the largest velocity without contact among the rows that bodies connect with it."""
         speed = np.linalg.norm(q.reshape(-1, 3), axis=1)
         bodies = [{row.first, row.second} - {WORLD} for row in self.rows]
         for _ in self.rows:
@@ -130,7 +130,7 @@ class Step:
         return speed
 
     def momentum_after(self, impulses, couples=None):
-        """Velocities (body, 6) that impulses and couples in W lead to."""
+        """Velocities (body, 6) after impulses and torsional impulses in W."""
         after = self.velocity.copy()
         for i, row in enumerate(self.rows):
             couple = np.zeros(3) if couples is None else couples[i]
@@ -141,7 +141,9 @@ class Step:
         return after
 
     def solve(self, solver, real=wp.float64, tolerance=None, iterations=1000, status=(0, 1, 0)):
-        """Returns what a solver makes of it in the last of some environments, and of one that is not active."""
+        """Solves the step; returns the result of the last active environment, and checks that inactive ones are
+        unchanged.
+        """
         arrays = self.arrays(real, len(status))
         if tolerance is None:
             tolerance = 1e-12 if real == wp.float64 else 1e-5
@@ -149,7 +151,7 @@ class Step:
         return Result(arrays, len(self.rows))
 
     def solve_in_turn(self, solvers, tolerance, iterations, status=(0, 1, 0)):
-        """Likewise with a number of iterations of each, where those before have not converged."""
+        """Runs several solvers, each with its number of iterations, if those before have not converged."""
         arrays = self.arrays(wp.float64, len(status))
         change = None
         for solver, most in zip(solvers, iterations, strict=True):
@@ -171,7 +173,7 @@ class Step:
                     made[name] = np.asarray(values[name])
             return wp.array(made, dtype=struct, device=DEVICE)
 
-        # One more than there are, which is not to be looked at.
+        # A spare row beyond the row count, which must not be used.
         spare = Row(9999, 9999, *(np.full(3, np.nan),) * 3, *(np.nan,) * 4, *(np.full(3, np.nan),) * 2)
         every = [*self.rows, spare]
         values = {
@@ -202,7 +204,7 @@ class Step:
 
 
 def tower(masses, push=0.0, mu=0.5):
-    """Cubes on top of each other, four contacts each, after a step under gravity; the top one is pushed."""
+    """Stacked cubes with four contacts each, after a step under gravity; the top cube is pushed."""
     bodies, velocities, rows = [], [], []
     for i, mass in enumerate(masses):
         bodies.append((mass, np.eye(3) * mass * (2 * HALF) ** 2 / 6))
@@ -216,7 +218,7 @@ def tower(masses, push=0.0, mu=0.5):
 
 
 def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, change=None, **options):
-    """Runs a solver once on all environments; returns what it leaves of changes."""
+    """Runs a solver once on all environments; returns the arrays it has changed."""
     rows, moving, outcome = arrays
     module = SOLVERS[solver]
     scratch = wp.zeros(rows.shape, dtype=module.scratch(real, rolls), device=DEVICE)
@@ -233,7 +235,7 @@ def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, ch
 
 
 class Result:
-    """What a solver left, of the last environment: in NumPy, float64."""
+    """Result of a solver in the last environment, as NumPy arrays in float64."""
 
     def __init__(self, arrays, count):
         rows, moving, outcome = arrays

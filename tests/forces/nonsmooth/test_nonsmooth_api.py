@@ -1,4 +1,4 @@
-"""What nonsmooth contact promises beside its mechanics: schedules, resets, mixtures, sensors, errors and warnings."""
+"""API of nonsmooth contact: schedules, resets, mixed scenes, sensors, errors and warnings."""
 
 import warnings
 from typing import Any
@@ -13,7 +13,7 @@ import warpcontact as wc
 
 
 class Own(wc.Friction):
-    """A friction that says nothing of a coefficient."""
+    """A friction model without a coefficient."""
 
     @wp.func
     def force(p: Any, s: Any):
@@ -21,7 +21,7 @@ class Own(wc.Friction):
 
 
 def thrown(envs=9, device="cpu", precision="float32"):
-    """Boxes that are thrown, each in its own way, onto a plane and a block that leans on it."""
+    """Boxes thrown onto a plane and an inclined block, with different velocities in each environment."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(20.0), name="ground")
     body = add_box(scene, (0.3, 0.4, 0.2), ground, rigid(0.5, 0.4), name="one", position=(0.0, 0.0, 0.4))
@@ -135,7 +135,7 @@ def test_separated_nonsmooth_contact_is_open_without_impulse(device):
 
 
 def test_compliant_and_nonsmooth_contacts_can_share_a_scene(device):
-    """A block on four springy feet and one on rigid ones, a springy ball on top of the second."""
+    """A block on compliant points, a block on nonsmooth ones, and a compliant ball on top of the second."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(20.0), name="ground")
     soft = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e4, damping=200.0))
@@ -188,7 +188,7 @@ def test_incomplete_nonsmooth_solve_is_counted_and_warns(device):
     simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver="gauss_seidel", iterations=1))
     sensors = ["scene.solve_residual", "scene.solve_converged"]
     worst = []
-    # Each run is rated by its own residuals, not by larger ones of the run before.
+    # Each run reports its own residuals, not larger ones of an earlier run.
     for duration in (1e-3, 0.05):
         with pytest.warns(
             wc.RunWarning, match="did not converge to the tolerance in 2 of 2 environments"
@@ -299,7 +299,7 @@ def test_recording_uses_the_running_simulation(device):
     data = own.run(0.5, ["touch.impulse", "scene.closed_contacts", "scene.impact_dissipation"])
     assert data["touch.impulse"].values[..., 2].max() > 0.1
     assert data["scene.closed_contacts"].max() == 1
-    # What was lost before has not been forgotten.
+    # Earlier dissipation remains in the sum.
     assert data["scene.impact_dissipation"].values[-1, 0] > lost
 
 
@@ -308,7 +308,7 @@ def test_contact_couplings_remain_forces_with_nonsmooth_integrator(device):
     plate = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="plate")
     body = scene.add_body(1.0, (0.1,) * 3, position=(0, 0, 0.1), name="box")
     hull = scene.add_surface(wc.meshes.box((0.2, 0.2, 0.16)), body, name="hull")
-    # Its lower face is 2 cm above the plate, within the range.
+    # Its lower face is 2 cm above the plate, within the coupling range.
     kept = wc.ContactRange(k1=2e4, k2=0.0, effective_range=0.03)
     scene.add_contact_coupling(hull, plate, kept, name="fender")
     model = scene.build(device=device, precision="float64")
@@ -318,7 +318,7 @@ def test_contact_couplings_remain_forces_with_nonsmooth_integrator(device):
         wc.Simulation(model, 1e-4, integrator).step(2000)
         places.append(model.sensor("box.position")[0, 2])
     assert places[0] > 0.15
-    # The schemes differ by half a step of a few metres a second.
+    # The schemes differ by half a step at a few meters per second.
     assert places[1] == pytest.approx(places[0], abs=5e-4)
     with pytest.raises(ValueError, match="there is no contact 'fender_first'; contacts: none"):
         wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["fender_first"]))

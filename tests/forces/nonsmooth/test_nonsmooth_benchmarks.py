@@ -1,4 +1,4 @@
-"""Nonsmooth contact in published benchmark cases of rigid bodies, with the errors that their sources measure.
+"""Nonsmooth contact in published benchmarks of rigid bodies, with the error measures of their sources.
 
 Rolling and bouncing are those of SimBenchmark (Kang and Hwangbo, leggedrobotics.github.io/SimBenchmark). The rod
 is that of Painlevé (1895), with the impact without collision of Génot and Brogliato (1999).
@@ -17,12 +17,13 @@ import warpcontact as wc
 
 @pytest.mark.parametrize("direction", [(0.0, 1.0, 0.0), (np.sqrt(0.5), np.sqrt(0.5), 0.0)], ids=["y", "xy"])
 def test_nonsmooth_rolling_matches_simbenchmark(device, direction):
-    """A box of 10 kg, 20 × 20 × 1 m, on the ground; on it 25 balls of 1 kg and 0.5 m; 150 N on the box.
+    """A box of 10 kg, 20 × 20 × 1 m, on the ground, 25 balls of 1 kg and 0.5 m on it, and 150 N on the box.
 
-    μ is 0.4 below the box, which slides, and 0.8 at the balls, which roll. With f₁ = μ (M + n m) g below the box,
-    f₂ = (F − f₁)/M / (3.5/m + n/M) at a ball: accelerations (F − f₁ − n f₂)/M and f₂/m, in whatever direction.
-    All begin 5 μm deep in what is below, the step is 1 ms, the measure the speeds of box and balls. (Its error is
-    the mean over time of the sum of their squared errors; pyramids for cones keep the box at rest along xy.)
+    μ is 0.4 below the box, which slides, and 0.8 at the balls, which roll. With f₁ = μ (M + n m) g below the box
+    and f₂ = (F − f₁)/M / (3.5/m + n/M) at a ball, accelerations are (F − f₁ − n f₂)/M and f₂/m, in any direction.
+    All bodies begin at a penetration of 5 μm, and the step is 1 ms. The measure is the error of the speeds of box
+    and balls. (SimBenchmark uses the mean over time of the sum of their squared errors; with friction pyramids the
+    box stays at rest along xy.)
     """
     n, m, M, F, dt, deep = 25, 1.0, 10.0, 150.0, 1e-3, 5e-6
     direction_of_motion = np.array(direction)
@@ -53,7 +54,7 @@ def test_nonsmooth_rolling_matches_simbenchmark(device, direction):
     box_error = data["box.linear_velocity"].values[:, 0] - (F - f1 - n * f2) / M * time * direction_of_motion
     ball_error = data["balls.linear_velocity"].values[:, 0] - (f2 / m * time * direction_of_motion)[:, None]
     mean_square = (np.square(box_error) + np.square(ball_error[:, 0])).sum(axis=1).mean()
-    # A thousand steps, each solved to 1e-8 of impulses of 0.3 N·s on 10 kg. Published errors begin at 1e-12.
+    # 1000 steps, each solved to 1e-8 of impulses of 0.3 N·s on 10 kg. Published errors begin at 1e-12.
     assert mean_square < 1e-14
     assert np.abs(box_error).max() < 1e-6
     assert np.abs(ball_error).max() < 1e-6
@@ -62,7 +63,7 @@ def test_nonsmooth_rolling_matches_simbenchmark(device, direction):
 
 
 def test_nonsmooth_bouncing_conserves_energy_in_simbenchmark(device):
-    """49 balls of 10 kg and 0.1 m fall from 5 m with e = 1, in steps of 10 ms for 20 s, and keep their energy."""
+    """49 balls of 10 kg and 0.1 m fall from 5 m with e = 1, in steps of 10 ms for 20 s, and conserve their energy."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(50.0), name="ground")
     grid = 2.0 * np.arange(7.0)
@@ -74,15 +75,15 @@ def test_nonsmooth_bouncing_conserves_energy_in_simbenchmark(device):
     data = wc.Simulation(model, 1e-2, wc.integrators.MoreauJean()).run(20.0, [*ENERGY, "touch.penetration"])
     total = energy(data)[:, 0]
     assert np.abs(total / (49 * 10.0 * G * 5.0) - 1.0).max() < 1e-11
-    # Seen half a step ahead, a ball is closed when its last half step leads below the ground.
+    # Gaps are predicted half a step ahead: a contact is closed if the last half step ends below the ground.
     assert 0.0 < data["touch.penetration"].values.max() < np.sqrt(2.0 * G * 5.0) * 1e-2
 
 
 def turned(time, first, drive, friction):
-    """Velocity (along the new force, along the old) of what slides, ``time`` after its force turned by 90°.
+    """Velocity (along the new and the old force) of a sliding block, ``time`` after its force turned by 90°.
 
-    With the angle ψ of the velocity from the force, u = tan ψ/2, k = friction/drive: s sin ψ = C uᵏ, and
-    t = C/(2 a) (u₀ᵏ⁻¹/(k − 1) + u₀ᵏ⁺¹/(k + 1) − …u…), from s dψ/dt = −a sin ψ, ds/dt = a cos ψ − friction.
+    With the angle ψ of the velocity from the force, u = tan ψ/2, k = friction/drive: s sin ψ = C uᵏ, and t = C/(2
+    a) (u₀ᵏ⁻¹/(k − 1) + u₀ᵏ⁺¹/(k + 1) − …u…), from s dψ/dt = −a sin ψ, ds/dt = a cos ψ − friction.
     """
     k = friction / drive
 
@@ -96,7 +97,7 @@ def turned(time, first, drive, friction):
 
 
 def test_nonsmooth_sliding_block_matches_closed_form_after_change_of_direction(device):
-    """A force of constant size drives a block that does not turn over rough ground, and turns by 90° half-way."""
+    """A force of constant size drives a block without rotation over rough ground, and turns by 90° halfway."""
     mu, force, half = 0.3, 6.0, 0.4
     drive, friction = force, mu * G
     before = (drive - friction) * half
@@ -118,7 +119,7 @@ def test_nonsmooth_sliding_block_matches_closed_form_after_change_of_direction(d
 
 
 def sledge(mu, device):
-    """A body of 1 kg that does not turn, 1 nm deep in rough ground."""
+    """A body of 1 kg without rotation, 1 nm deep in rough ground."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(50.0), name="ground")
     start = {"position": (0.0, 0.0, -1e-9), "motion": wc.motions.Translation()}
@@ -128,7 +129,7 @@ def sledge(mu, device):
 
 
 def test_nonsmooth_rolling_ball_matches_closed_form_after_change_of_direction(device):
-    """A force on a ball that turns by 90° half-way: the ball rolls, with 5/7 F/m along the force of each half."""
+    """A force on a ball turns by 90° halfway: the ball rolls, with 5/7 F/m along the force of each half."""
     model = rolling_ball(device)
     simulation = wc.Simulation(model, 2e-3, wc.integrators.MoreauJean())
     for number, force in enumerate([(3.0, 0.0, 0.0), (0.0, 3.0, 0.0)]):
@@ -140,7 +141,7 @@ def test_nonsmooth_rolling_ball_matches_closed_form_after_change_of_direction(de
 
 
 def rolling_ball(device):
-    """A ball of 1 kg on ground with μ = 0.2, which holds it up to forces of 3.5 μ m g."""
+    """A ball of 1 kg on ground with μ = 0.2, which rolls for forces up to 3.5 μ m g."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(50.0), name="ground")
     body = scene.add_body(1.0, [0.004] * 3, position=(0.0, 0.0, 0.1 - 1e-9), name="ball")
@@ -149,14 +150,14 @@ def rolling_ball(device):
     return scene.build(device=device, precision="float64")
 
 
-# A rod of 2 m and 1 kg with its lower end on the ground, its middle towards +x, at tan θ = 2, where μ = 4/3 is
-# critical; the end slides towards −x. W of its end, along n and t.
+# A rod of 2 m and 1 kg with its lower end on the ground and its center towards +x, at tan θ = 2, where μ = 4/3 is
+# critical. The end slides towards −x. Delassus operator of the end, along n and t.
 SIN, COS = 2.0 / np.sqrt(5.0), 1.0 / np.sqrt(5.0)
 DELASSUS = np.array([[1.0 + 3.0 * COS**2, -3.0 * SIN * COS], [-3.0 * SIN * COS, 1.0 + 3.0 * SIN**2]])
 
 
 def painleve(mu, dt, solver, device):
-    """Returns a simulation of the rod, its end 1 nm deep in the ground and slid at 3 m/s."""
+    """Returns a simulation of the rod with its end at a penetration of 1 nm, sliding at 3 m/s."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(50.0), name="ground")
     rod = scene.add_body(
@@ -173,7 +174,7 @@ def painleve(mu, dt, solver, device):
 
 
 def leaning():
-    """The axis z of the rod towards (cos θ, 0, sin θ): turned about y by 90° − θ."""
+    """Axis z of the rod along (cos θ, 0, sin θ): rotated about y by 90° − θ."""
     half = 0.5 * np.arctan2(COS, SIN)
     return (0.0, np.sin(half), 0.0, np.cos(half))
 
@@ -192,9 +193,10 @@ def test_painleve_rod_slides_below_critical_friction(device, solver):
 @pytest.mark.parametrize("solver", ["gauss_seidel", "accelerated"])
 @pytest.mark.parametrize("dt", [1e-3, 1e-5])
 def test_painleve_rod_stops_by_impulse_above_critical_friction(device, dt, solver):
-    """At μ = 2 no finite force lets it slide on: it is stopped at once by an impulse that no step makes smaller.
+    """At μ = 2 no finite force is consistent with sliding: an impulse stops the end in one step, for any dt.
 
-    That impulse is W⁻¹ times the velocity of the end, and is in the cone: 1.2 N·s along the ground on 0.9 N·s.
+    The impulse is W⁻¹ times the velocity of the end and lies in the cone: 1.2 N·s along the ground, 0.9 N·s
+    normal.
     """
     simulation = painleve(2.0, dt, solver, device)
     model = simulation.model
@@ -210,11 +212,11 @@ def test_painleve_rod_stops_by_impulse_above_critical_friction(device, dt, solve
     for _ in range(400):
         simulation.step(1)
         now = energy_of(model)
-        # A body that turns keeps its energy to second order in the step.
+        # The energy of a rotating body is constant to second order in the step.
         assert now - before < 20.0 * dt**2 + 1e-9
         before = now
-    # Gauss–Seidel solves one contact exactly, by its cases. Momentum takes steps towards it, which the strong
-    # coupling of normal and tangent may keep from the tolerance: then it says so.
+    # Gauss–Seidel solves a single contact exactly, by cases. The accelerated solver is iterative, and strong
+    # coupling of normal and tangent may prevent convergence; it reports that.
     unsolved = model.sensor("scene.solve_failures")[0]
     assert unsolved == 0 if solver == "gauss_seidel" else unsolved < 0.25 * 400
 

@@ -1,4 +1,6 @@
-"""Nonsmooth contact in time steps: impacts, sliding, sticking, rolling, tipping, against closed forms and an oracle."""
+"""Time-stepping nonsmooth contact: impacts, sliding, sticking, rolling, tipping, against closed forms and an
+oracle.
+"""
 
 import json
 import warnings
@@ -56,7 +58,7 @@ def test_nonsmooth_restitution_and_friction_can_vary_by_environment(device):
     simulation.run(0.01)
     after = model.sensor("ball.linear_velocity")
     assert after[:, 2] == pytest.approx([0.0, 1.2, 3.0], abs=1e-12)
-    # Sliding takes μ (1 + e) v; a ball that grips rolls: v 5/7 of before.
+    # Sliding removes μ (1 + e) v; if the ball sticks it rolls with 5/7 of the speed.
     assert after[:, 0] == pytest.approx([2.0, 2.0 - 0.1 * 4.2, 2.0 * 5.0 / 7.0], abs=1e-9)
     model["touch.law.restitution"] = 0.25
     simulation.reset()
@@ -82,7 +84,7 @@ def test_nonsmooth_sliding_block_stops_as_coulomb(oracle, device):
     )
     speed = data["block.linear_velocity"].values[:, 0, 0]
     stopped = np.argmax(np.abs(speed) < 1e-9)
-    # The first step has no contact yet: the feet start on the plane, and touch below it.
+    # The first step has no contact: the points start on the plane, and contact begins below it.
     assert data["time"].values[stopped] == pytest.approx(slide["t_stop"], abs=2e-3)
     assert data["block.position"].values[-1, 0, 0] == pytest.approx(slide["x_stop"], abs=3e-3)
     assert (
@@ -91,7 +93,7 @@ def test_nonsmooth_sliding_block_stops_as_coulomb(oracle, device):
     )
     modes = data["block_feet.mode"].values[:, 0]
     assert (modes[10 : stopped - 1] == wc.ContactMode.SLIP).all()
-    # Four feet share what holds it as they like; one that does not slip is enough.
+    # The static distribution among four points is not unique; one sticking point is sufficient.
     assert (modes[stopped + 1 :] == wc.ContactMode.STICK).any(axis=1).all()
 
 
@@ -186,25 +188,25 @@ def test_nonsmooth_rolling_and_torsional_friction_decelerate_ball_uniformly(devi
     v0, w0 = model.sensor("rolling.linear_velocity")[0, 0], model.sensor("spinning.angular_velocity")[0, 2]
     simulation.step(100)
     v1, w1 = model.sensor("rolling.linear_velocity")[0, 0], model.sensor("spinning.angular_velocity")[0, 2]
-    # M = μ_r R m g on a ball that rolls: a = M R/(I + m R²); spinning: α = μ_t r_t m g/I.
+    # M = μ_r R m g on a rolling ball: a = M R/(I + m R²); spinning: α = μ_t r_t m g/I.
     assert (v0 - v1) / 0.1 == pytest.approx(0.02 * G / 1.4, rel=1e-6)
     assert (w0 - w1) / 0.1 == pytest.approx(0.3 * 0.01 * G / 0.004, rel=1e-6)
     simulation.step(8000)
-    # To the tolerance of the solve, of the speed g h that it takes off in a step. The centre has that of K and R ω
-    # on top.
+    # To the tolerance of the solver, relative to the speed g h of a step. The center has the velocity of K plus R
+    # ω.
     for name in ("rolling", "spinning"):
         assert np.abs(model.sensor(f"{name}.angular_velocity")).max() < 1e-8 * G * 1e-3 / 0.1
         assert np.abs(model.sensor(f"{name}.linear_velocity")).max() < 2e-8 * G * 1e-3
 
 
 def test_nonsmooth_energy_and_dissipation_of_sphere_balance(device):
-    """θ = ½: what forces do and what contacts take is the change of the energy, to rounding."""
+    """θ = ½: the work of forces minus the dissipation of contacts equals the change of energy, to rounding."""
     model = ball(0.6, 0.3, velocity=(2.0, 1.0, 0.0), spin=(5.0, -3.0, 8.0), device=device)
     data = wc.Simulation(model, 2e-3, HARD).run(4.0, [*ENERGY, *LOSSES])
     total = energy(data) + sum(data[name].values for name in LOSSES)
     assert np.ptp(total) < 1e-12 * total.max()
     assert (np.diff(data["scene.friction_dissipation"].values[:, 0]) >= -1e-15).all()
-    # A contact that is closed but parts with less than g h is held, which may lift the body by as much.
+    # A closed contact that separates with less than g h is held, which may lift the body by as much.
     assert (np.diff(data["scene.impact_dissipation"].values[:, 0]) >= -((G * 2e-3) ** 2) / 8.0).all()
     assert data["scene.friction_dissipation"].values[-1, 0] > 0.5
 
@@ -231,16 +233,16 @@ def test_nonsmooth_tumbling_boxes_never_gain_energy(device):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         data = simulation.run(2.0, [*ENERGY, "one_feet.gap", "two_feet.gap"])
-    # With friction a contact problem may have no solution that is found; that is rare, and counted.
+    # With friction, the solver may fail to find a solution; this is rare, and counted.
     assert model.sensor("scene.solve_failures").sum() < 2e-3 * envs * simulation.steps
     kinetic = data["scene.kinetic_energy"].values
-    # A contact that is closed but parts with less than g h is held, which may lift the body by as much; turning
-    # bodies keep their energy to second order in the step.
+    # A closed contact that separates with less than g h is held, which may lift the body by as much. The energy of
+    # rotating bodies is constant to second order in the step.
     held = 2.0 * 24.0 * (G * dt) ** 2 / 8.0
     assert (np.diff(energy(data), axis=0) <= held + 2.0 * dt**2 * kinetic.max(axis=0)).all()
-    # Some impacts would have brought energy.
+    # Without the limit, some impacts would have added energy.
     assert model.sensor("scene.restitution_limited").sum() > 0
-    fastest = 8.0  # m/s, of any corner
+    fastest = 8.0  # m/s, of any vertex
     for name in ("one_feet.gap", "two_feet.gap"):
         assert data[name].values.min() > -fastest * dt
     assert (energy(data)[-1] < energy(data)[0]).all()
@@ -265,7 +267,7 @@ def test_compliant_contact_converges_to_nonsmooth_contact_with_stiffness(device)
 
 
 def tower(boxes, *, inset=0.9, **options):
-    """Cubes of 0.5 m, one on the other, each with four feet a little inside its corners."""
+    """Cubes of 0.5 m, stacked, each with four contact points slightly inside its vertices."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     below = scene.add_surface(square(10.0), name="ground")
     half = 0.25
@@ -286,8 +288,8 @@ def test_nonsmooth_stack_of_ten_boxes_is_stable_for_100_seconds(device):
     early = np.array([model.sensor(name)[0] for name in names])
     simulation.step(18000)
     late = np.array([model.sensor(name)[0] for name in names])
-    # It settles by what feet sink in within the first steps, g h² each, and does not creep. Solves leave 1e-8 of
-    # the impulse of ten boxes for 90 s; what tilts a foot moves a top ten times as high.
+    # In the first steps each point sinks by about g h²; afterwards nothing creeps. Solves leave 1e-8 of the
+    # impulse of ten boxes for 90 s. A tilt at a contact point moves a top that is ten times as high.
     assert np.abs(early - start).max() < 10 * 10 * G * 5e-3**2
     assert np.abs(late - early).max() < 1e-8 * (10 * G * 5e-3) * 90.0 * 10
     assert model.sensor("scene.kinetic_energy")[0] < 1e-9

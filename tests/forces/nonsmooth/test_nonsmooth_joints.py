@@ -1,4 +1,4 @@
-"""Nonsmooth contact of bodies that are not free: joints hold exactly, and take their part of every impact."""
+"""Nonsmooth contact of bodies with joints: joint constraints hold exactly, and joints share each impact."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,11 @@ from scenes import square
 
 import warpcontact as wc
 
-WALL = {"orientation": (0.0, np.sin(np.pi / 4), 0.0, np.cos(np.pi / 4))}  # its outer side looks along +x
+WALL = {"orientation": (0.0, np.sin(np.pi / 4), 0.0, np.cos(np.pi / 4))}  # outer side along +x
 
 
 def test_nonsmooth_pendulum_bounces_off_a_wall(device):
-    """A compound pendulum with its end on the wall when it hangs down: ω⁺ = −e ω⁻ at every impact."""
+    """A compound pendulum whose end hits the wall when it hangs straight down: ω⁺ = −e ω⁻ at every impact."""
     mass, inertia, length, reach, e = 2.0, 0.05, 0.5, 0.8, 0.6
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     wall = scene.add_surface(square(2.0), name="wall", **WALL)
@@ -37,7 +37,7 @@ def test_nonsmooth_pendulum_bounces_off_a_wall(device):
     assert np.abs(rate[hits[0] - 1]) == pytest.approx(falls, rel=1e-3)
     for hit in hits[:3]:
         assert rate[hit] == pytest.approx(-e * rate[hit - 1], rel=1e-3)
-        # What the wall gives about the axis is the change of the angular momentum.
+        # The angular impulse of the wall about the axis equals the change of angular momentum.
         assert impulse[hit] * reach == pytest.approx(about * abs(rate[hit] - rate[hit - 1]), rel=1e-3)
     place = data["arm.position"].values[:, 0]
     assert np.linalg.norm(place, axis=1) == pytest.approx(length, rel=1e-14)
@@ -68,11 +68,11 @@ def test_nonsmooth_prismatic_and_planar_joints_hold_their_constraints(device):
     assert np.ptp(data["planar.position"].values[:, 0, 1]) == 0.0
     assert np.abs(data["planar.angular_velocity"].values[:, 0, [0, 2]]).max() == 0.0
     assert np.abs(data["translation.angular_velocity"].values[:, 0]).max() == 0.0
-    # On its axis the slider parts with the speed of Newton's law along the normal.
+    # Along the normal, the slider separates with the speed of Newton's law.
     hit = np.flatnonzero(data["slider_touch.impulse"].values[:, 0, 2])[0]
     v = data["slider.linear_velocity"].values[:, 0]
-    assert v[hit, 2] == pytest.approx(-0.5 * v[hit - 1, 2], rel=1e-8)  # the tolerance of the solve
-    # Without rotation, friction and impulse change the momentum by themselves.
+    assert v[hit, 2] == pytest.approx(-0.5 * v[hit - 1, 2], rel=1e-8)  # tolerance of the solver
+    # Without rotation, the contact impulse and gravity are the only changes of momentum.
     hit = np.flatnonzero(data["translation_touch.impulse"].values[:, 0, 2])[0]
     v, p = data["translation.linear_velocity"].values[:, 0], data["translation_touch.impulse"].values[:, 0]
     assert v[hit] - v[hit - 1] + [0.0, 0.0, G * 1e-3] == pytest.approx(p[hit], abs=1e-14)
@@ -108,7 +108,7 @@ def test_nonsmooth_spherical_joint_hits_floor_and_keeps_its_length(device):
 
 
 def test_nonsmooth_block_on_shaken_plate_sticks_or_slips(device):
-    """A plate shakes along x: the block goes with it below μ g, and slips above it."""
+    """A plate oscillates along x: the block sticks to it below μ g, and slips above."""
     rate = 10.0
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     shaking = wc.motions.Harmonic(direction=(1.0, 0.0, 0.0), amplitude=0.02, frequency=rate / (2.0 * np.pi))
@@ -150,6 +150,6 @@ def test_nonsmooth_force_on_vertically_shaken_plate_matches_its_acceleration(dev
         middle = force["time"].values[1:] - 0.5 * dt
         expected = G - amplitude * rate**2 * np.sin(rate * middle)
         errors.append(np.abs(force.values[1:, 0] - expected)[3:].max())
-    # The mean over a step is that in its middle to second order.
+    # The mean over a step equals the value at its middle to second order.
     assert errors[0] < amplitude * rate**4 * 1e-6
     assert errors[1] < 0.1 * errors[0]

@@ -1,4 +1,4 @@
-"""Nonsmooth contact in piles: impacts, equilibrium and heaps of spheres against closed forms and invariants."""
+"""Nonsmooth particle contact: impacts, equilibrium and packings of spheres against closed forms and invariants."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,16 @@ INERTIA = [0.4 * MASS * RADIUS**2] * 3
 
 
 def spheres(positions, material, *, velocities=(0.0, 0.0, 0.0), gravity=G, floor=None, **options):
-    """Returns a scene of equal solid balls in a pile, with the material ``floor`` above a plane at z = 0."""
+    """Returns a scene of equal solid balls in particle contact, with the material ``floor`` above a plane at z =
+    0.
+    """
     scene = wc.Scene(gravity=(0.0, 0.0, -gravity))
     balls = scene.add_bodies(positions, MASS, INERTIA, linear_velocities=velocities, name="ball")
     shapes = scene.add_shape(balls, wc.shapes.Sphere(RADIUS), name="sphere")
     scene.add_particle_contact(shapes, material, name="pile", **options)
     if floor is not None:
         plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
-        # At the surfaces of the balls, so that arms are their radii.
+        # With the contact point on the surfaces of the balls, so that lever arms are their radii.
         scene.add_shape_contact(shapes, plane, floor, kappa=1.0, name="floor")
     return scene
 
@@ -36,7 +38,7 @@ def test_nonsmooth_particles_exchange_momentum_as_newton(precision, device):
     tolerance = 1e-5 if precision == "float32" else 1e-12
     assert one + two == pytest.approx(1.5, abs=tolerance)
     assert two - one == pytest.approx([0.0, 0.7 * 2.5, 2.5], abs=tolerance)
-    # Nothing is left of where a ball that sticks to the other was hit off its middle.
+    # The tangential velocity of an off-center impact is zero after sticking.
     assert np.abs(model.sensor("ball.angular_velocity")).max() == 0.0
 
 
@@ -47,13 +49,13 @@ RESISTANCE = {"rolling": wc.friction.Coulomb(mu=0.05), "torsion": wc.friction.Co
     ("forms", "material", "options"),
     [
         ([wc.shapes.Sphere(0.1), wc.shapes.Sphere(0.15)], rigid(0.4, 0.3, **RESISTANCE), {"torsion_radius": 0.02}),
-        # Of capsules rolling has another radius in a pile.
+        # For capsules, particle contact has a different rolling radius.
         ([wc.shapes.Capsule(0.1, 0.08), wc.shapes.Capsule(0.15, 0.1)], rigid(0.4, 0.3), {}),
     ],
     ids=["spheres", "capsules"],
 )
 def test_nonsmooth_particle_pair_matches_shape_contact(forms, material, options, device):
-    """The same rows by two ways: an oblique impact with friction."""
+    """The same rows from two implementations: an oblique impact with friction."""
     starts = [
         {"name": "one", "linear_velocity": (0.0, 0.0, 0.5), "angular_velocity": (1.0, 5.0, 2.0)},
         {
@@ -79,7 +81,7 @@ def test_nonsmooth_particle_pair_matches_shape_contact(forms, material, options,
         wc.Simulation(model, 1e-3, HARD).step(100)
         names = [f"{body}.{key}_velocity" for body in ("one", "two") for key in ("linear", "angular")]
         ends.append([model.sensor(name)[0] for name in names])
-    # Both ways end within what is left of a solve, which later touches make more of.
+    # Both agree up to the residual of the solver, which later contacts amplify.
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
     assert np.abs(ends[0][1] - [1.0, 5.0, 2.0]).max() > 0.1
 
@@ -97,7 +99,7 @@ def test_nonsmooth_particle_bounces_off_a_fixed_one(device):
     pair = model.contact_pairs("pile")
     normal = pair["normal"].values[0]
     before = np.array([0.0, 0.0, -1.0])
-    # The post has the lower number, so that the normal points towards it.
+    # The post has the lower index, so the normal points towards it.
     assert model.sensor("ball.linear_velocity")[0] == pytest.approx(
         before - 1.5 * (before @ normal) * normal, abs=1e-9
     )
@@ -105,12 +107,12 @@ def test_nonsmooth_particle_bounces_off_a_fixed_one(device):
     assert (model.sensor("post.linear_velocity") == 0.0).all()
 
 
-# Half the edge of the base over that of a tetrahedron of touching balls: the base is not to touch.
+# Half the base edge relative to a tetrahedron of touching balls, so that the base balls are apart.
 APART = 1.02
 
 
 def pyramid(mu, device, **options):
-    """Three balls on a plane and one on them."""
+    """Three balls on a plane and one on top."""
     ring = 2.0 * APART * RADIUS / np.sqrt(3.0)
     angles = np.deg2rad([90.0, 210.0, 330.0])
     base = np.stack([ring * np.cos(angles), ring * np.sin(angles), np.full(3, RADIUS)], axis=1)
@@ -120,7 +122,7 @@ def pyramid(mu, device, **options):
 
 
 def test_nonsmooth_pyramid_forces_match_closed_form(device):
-    """N = m g/3 and T = N tan(θ/2) where the top presses at θ from the vertical, and the floor as much more."""
+    """N = m g/3 and T = N tan(θ/2) if the line of centers is at θ from the vertical, plus the weight at the floor."""
     model = pyramid(0.5, device)
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.step(300)
@@ -129,7 +131,7 @@ def test_nonsmooth_pyramid_forces_match_closed_form(device):
     pairs = model.contact_pairs("pile")
     assert pairs["shape_1"].values.tolist() == [0, 1, 2]
     assert pairs["shape_2"].values.tolist() == [3, 3, 3]
-    # It sank by a few g h² until all touched: so much the angle is off.
+    # The balls sank by a few g h² until all were in contact, which changes the angle by this much.
     close = {"rel": 2e-3}
     assert pairs["normal_force"].values == pytest.approx(weight / 3.0, **close)
     across = np.linalg.norm(pairs["friction_force"].values, axis=1)
@@ -141,7 +143,7 @@ def test_nonsmooth_pyramid_forces_match_closed_form(device):
     assert np.linalg.norm(model.sensor("floor.friction_force")[0, :3], axis=1) == pytest.approx(
         weight / 3.0 * np.tan(0.5 * theta), **close
     )
-    # What sensors say of the whole pile is the sum of its pairs.
+    # Sensors of the whole particle contact are sums over its pairs.
     assert model.sensor("pile.contacts")[0] == 3
     assert model.sensor("pile.coordination")[0].tolist() == [1, 1, 1, 3]
     assert model.sensor("pile.normal_force")[0] == pytest.approx(pairs["normal_force"].values.sum())
@@ -154,7 +156,7 @@ def test_nonsmooth_pyramid_forces_match_closed_form(device):
 
 
 def test_nonsmooth_pyramid_slides_apart_below_critical_friction(device):
-    """tan(θ/2) is what it takes: 0.327 here."""
+    """The critical coefficient is tan(θ/2), 0.327 here."""
     model = pyramid(0.0, device, envs=2)
     needed = np.tan(0.5 * np.arcsin(APART / np.sqrt(3.0)))
     for name in ("pile.friction.mu", "floor.friction.mu"):
@@ -166,7 +168,7 @@ def test_nonsmooth_pyramid_slides_apart_below_critical_friction(device):
 
 
 def heap(**options):
-    """60 balls that fall into a box of planes, lower ones first; two environments with random places."""
+    """60 balls that fall into a box of planes, lower ones first; two environments with random positions."""
     rng = np.random.default_rng(1)
     grid = np.stack(np.meshgrid(*[np.arange(3)] * 2, np.arange(7), indexing="ij"), axis=-1).reshape(-1, 3)
     grid = grid[np.argsort(grid[:, 2], kind="stable")][:60]
@@ -197,7 +199,7 @@ def start(skin, device, **options):
 WALLS = ["floor", "left", "right", "front", "back"]
 STEP = 1e-3
 FALL = 1800
-# Heaps are solved to less than single contacts, in more sweeps.
+# Packings are solved to a larger tolerance than single contacts, with more iterations.
 INTEGRATOR = wc.integrators.MoreauJean(iterations=1000, tolerance=1e-6)
 
 
@@ -208,7 +210,7 @@ def bits(model):
 
 @pytest.fixture(scope="module")
 def fallen(device):
-    """The heap in the box, what was recorded, and its bits half way."""
+    """Final state of the packing, its recording, and the checkpoint halfway."""
     model = start(0.3 * RADIUS, device)
     names = [*ENERGY, "ball.linear_velocity", "pile.max_penetration", "pile.contacts"]
     names += ["pile.normal_force", *(f"{wall}.normal_force" for wall in WALLS)]
@@ -226,13 +228,13 @@ def test_nonsmooth_heap_has_bounded_overlap_and_never_gains_energy(fallen):
     assert (model.particle_contact_sets[0].grid.build_count.numpy() > 10).all()
     speed = np.linalg.norm(data["ball.linear_velocity"], axis=-1).max(axis=2)
     fastest = speed.max()
-    # A contact is found at half a step; two balls meet with twice the speed of one.
+    # A contact is detected at half a step, and two balls approach at up to twice the speed of one.
     assert data["pile.max_penetration"].max() <= 2.0 * fastest * STEP
     for wall in WALLS:
         assert data[f"{wall}.penetration"].max() <= fastest * STEP
     kinetic = data["scene.kinetic_energy"]
     total = kinetic + data["scene.potential_energy"]
-    # As normals turn, what slides along parts a little, by 2 v² h/R of two balls, and is pressed on once more.
+    # Normals rotate, so sliding contacts separate slightly, by 2 v² h/R for two balls, and are closed again.
     force = data["pile.normal_force"] + sum(data[f"{wall}.normal_force"].sum(axis=-1) for wall in WALLS)
     slight = 2.0 * force[1:] * (speed[1:] * STEP) ** 2 / RADIUS + 1e-12 * total[0]
     assert (np.diff(total, axis=0) <= slight).all()
@@ -246,7 +248,7 @@ def test_nonsmooth_heap_presses_on_the_floor_with_its_weight(fallen):
     wc.Simulation(model, STEP, INTEGRATOR).step(1)
     gain = (model.sensor("scene.linear_momentum") - momentum) / STEP
     force = model.sensor("floor.normal_force").sum(axis=1)
-    # Walls are vertical and smooth, and forces between the balls take each other away.
+    # Walls are vertical and frictionless, and forces between the balls cancel.
     assert force == pytest.approx(60 * MASS * G + gain[:, 2], rel=1e-9)
     side = model.sensor("left.normal_force").sum(axis=1) - model.sensor("right.normal_force").sum(axis=1)
     assert side == pytest.approx(gain[:, 0], abs=1e-6)
@@ -262,18 +264,18 @@ def test_nonsmooth_heap_presses_on_the_floor_with_its_weight(fallen):
 
 @pytest.mark.parametrize("skin", [0.05 * RADIUS, 0.9 * RADIUS])
 def test_nonsmooth_results_do_not_depend_on_neighbor_list_rebuilds(fallen, skin, device):
-    """As many iterations, and the same bits: a solve that began elsewhere would end elsewhere."""
+    """The numbers of iterations and the results are bitwise equal; another warm start would change them."""
     model = start(skin, device)
     wc.Simulation(model, STEP, INTEGRATOR).step(FALL // 2)
     np.testing.assert_array_equal(bits(model), fallen[2])
 
 
 def test_nonsmooth_solve_is_warm_started(device):
-    """At rest all but nothing is left to do; without them, everything."""
+    """At rest a warm-started solve needs almost no iterations; a cold start needs many."""
     model = pyramid(0.5, device)
     wc.Simulation(model, STEP, HARD).step(300)
     warm = model.sensor("scene.solve_iterations")[0]
-    # Another simulation knows nothing of the steps before.
+    # A new simulation has no warm start.
     wc.Simulation(model, STEP, HARD).step(1)
     assert model.sensor("scene.solve_iterations")[0] > 5 * warm
 
@@ -295,7 +297,7 @@ def test_nonsmooth_particles_are_bitwise_identical_for_any_slices_threads_and_gr
     model = start(0.3 * RADIUS, device)
     simulation = wc.Simulation(model, STEP, INTEGRATOR, **options)
     simulation.step(40)
-    # Back to the start, with empty memory, in one environment after the other.
+    # Reset with cleared history, one environment after the other.
     simulation.reset(np.array([True, False]))
     simulation.step(3)
     simulation.reset()
@@ -313,7 +315,7 @@ def test_nonsmooth_particles_are_unchanged_by_sensor_evaluation(fallen, device):
 
 
 def test_compliant_particles_and_nonsmooth_contacts_can_share_a_scene(device):
-    """Each by its own way: two that are springs, two that are hard, and one on a mesh."""
+    """Two compliant balls, two nonsmooth balls, and one ball on a mesh."""
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     head_on = {"linear_velocities": [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]}
     law = wc.laws.Hooke(stiffness=1e5)
@@ -334,11 +336,11 @@ def test_compliant_particles_and_nonsmooth_contacts_can_share_a_scene(device):
     assert model.sensor("soft.linear_velocity")[0, :, 2] == pytest.approx([-1.0, 1.0], rel=1e-4)
     assert model.sensor("hard.linear_velocity")[0, :, 2] == pytest.approx([-0.5, 0.5], abs=1e-12)
     assert model.sensor("ball.linear_velocity")[0, 2] == pytest.approx(0.25, abs=1e-12)
-    # A spring of k between two masses m: 2 v √(m/2k) deep.
+    # A spring of stiffness k between two masses m: penetration 2 v √(m/2k).
     depth = 2.0 * np.sqrt(MASS / 2.0 / 1e5)
     assert data["soft_pile.max_penetration"].max() == pytest.approx(depth, rel=1e-3)
     assert data["soft_pile.normal_force"].max() == pytest.approx(1e5 * depth, rel=1e-3)
-    # In one step the hard ones exchange (1 + e) m v, the only row of their pair.
+    # Nonsmooth balls exchange (1 + e) m v in one step, in the only row of their pair.
     assert data["hard_pile.normal_force"].max() == pytest.approx(1.5 * MASS / (STEP / 50), rel=1e-9)
     assert data["scene.closed_contacts"].max() == 1
     with pytest.raises(ValueError, match=r"compliant: there is no contact 'pile'"):
@@ -346,7 +348,7 @@ def test_compliant_particles_and_nonsmooth_contacts_can_share_a_scene(device):
 
 
 def test_nonsmooth_particle_rolling_uses_radii_of_each_environment(device):
-    """A couple of μ R N opposes what turns across the line of centres, 1/R = 1/R₁ + 1/R₂, and μ r_t N about it."""
+    """A torque μ R N opposes rolling, 1/R = 1/R₁ + 1/R₂, and μ r_t N opposes spinning about the line of centers."""
     resistance = wc.friction.Coulomb(mu=0.1)
     material = rigid(0.0, 0.0, rolling=resistance, torsion=resistance)
     places = [[0.0, 0.0, 0.0], [0.0, 0.0, 2.0 * RADIUS]]
@@ -365,10 +367,10 @@ def test_nonsmooth_particle_rolling_uses_radii_of_each_environment(device):
 
 @pytest.mark.parametrize("restitution", [0.0, 1.0])
 def test_nonsmooth_666_particles_have_bounded_overlap_and_energy(restitution, device):
-    """Overlap and energy of smooth balls: "666" of leggedrobotics.github.io/SimBenchmark."""
+    """Overlap and energy of frictionless balls: benchmark "666" of leggedrobotics.github.io/SimBenchmark."""
     radius, mass, dt = 0.5, 10.0, 4e-3
     grid = np.stack(np.meshgrid(*[np.arange(6)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    # A little out of line, so that columns do not stand.
+    # Slightly off the grid, so that columns collapse.
     places = 1.01 * grid + [0.0, 0.0, radius + 1.0] + np.random.default_rng(0).uniform(-4e-3, 4e-3, (216, 3))
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     balls = scene.add_bodies(places, mass, [0.4 * mass * radius**2] * 3, name="ball")
@@ -383,14 +385,14 @@ def test_nonsmooth_666_particles_have_bounded_overlap_and_energy(restitution, de
     total = energy(data)[:, 0]
     speed = np.linalg.norm(data["ball.linear_velocity"].values[:, 0], axis=-1).max(axis=1)
     overlap = max(data["pile.max_penetration"].values.max(), data["floor.penetration"].values.max())
-    # Each of two balls moves by no more than v h in the step in which they meet.
+    # Each of two balls moves by at most v h in the step of first contact.
     assert overlap <= 2.0 * speed.max() * dt
     assert data["scene.closed_contacts"].values.max() > 100
-    # See the heap above.
+    # Same tolerance as for the packing above.
     force = data["pile.normal_force"].values[:, 0] + data["floor.normal_force"].values[:, 0].sum(axis=-1)
     assert (np.diff(total) <= force[1:] * (speed[1:] * dt) ** 2 / radius + 1e-9 * total[0]).all()
     if restitution == 1.0:
-        # What is lost is the restitution of steps in which some bounce off what others push.
+        # The loss comes from steps in which some balls bounce off others that are pushed.
         assert total[-1] > 0.9 * total[0]
     else:
         assert total[-1] < 0.5 * total[0]

@@ -1,4 +1,4 @@
-"""Where schemes of impulses go wrong: unlike masses, lost restitution, overlap that grows, wrong modes."""
+"""Known failures of impulse schemes: large mass ratios, lost restitution, growing overlap, wrong contact modes."""
 
 import numpy as np
 import pytest
@@ -18,14 +18,15 @@ def test_light_ball_next_to_heavy_one_moves_as_alone(device):
     model = scene.build(device=device)
     model["light.linear_velocity"] = (0.2, 0.0, 0.0)
     wc.Simulation(model, 1e-3, HARD).step(1000)
-    # Rolling at 5/7 of its speed, to what a thousand solves may leave of each.
+    # Rolling at 5/7 of its speed, to the accumulated residuals of a thousand solves.
     np.testing.assert_allclose(model.sensor("light.linear_velocity")[0], [1.0 / 7.0, 0, 0], atol=2e-4)
     assert model.sensor("light.position")[0, 2] == pytest.approx(0.05, abs=2e-5)
 
 
 @pytest.mark.parametrize("solver", ["gauss_seidel", "accelerated"])
 def test_restitution_that_adds_no_energy_is_not_limited(device, solver):
-    # A box falls on four feet at once, without friction: how they share the impulse is open, the work is not.
+    # A box falls on four points at once, without friction: the distribution of impulses is not unique, the work
+    # is.
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     ground = scene.add_surface(square(50.0), name="ground")
     feet = [(x, y, -0.1) for x in (-0.2, 0.2) for y in (-0.3, 0.3)]
@@ -36,7 +37,7 @@ def test_restitution_that_adds_no_energy_is_not_limited(device, solver):
     model["box.angular_velocity"] = rng.uniform(-1.0, 1.0, (64, 3))
     before = model.sensor("scene.kinetic_energy")
     wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver=solver)).step(10)
-    # Turning bodies keep it to second order, 1e-3 s at a radian a second.
+    # The energy of rotating bodies is constant to second order: 1e-3 s at 1 rad/s.
     np.testing.assert_allclose(model.sensor("scene.kinetic_energy"), before, rtol=1e-5)
     assert model.sensor("scene.restitution_limited").sum() == 0
 
@@ -58,7 +59,7 @@ def test_overlap_recovers_within_recovery_time(device):
     model = ball(0.0, height=-0.01, device=device)
     simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(recovery_time=0.05))
     simulation.step(50)
-    # Less by e; the overlap is that at half a step.
+    # The overlap decays by 1/e; the gap is that at half a step.
     assert model.sensor("touch.gap")[0] == pytest.approx(-0.01 / np.e, rel=0.05)
     simulation.step(1000)
     assert 0.0 > model.sensor("touch.gap")[0] > -1e-5
@@ -80,7 +81,7 @@ def test_rocking_capsule_sinks_without_overlap_recovery(device):
         integrator = wc.integrators.MoreauJean(recovery_time=recovery)
         run = wc.Simulation(model, 1e-3, integrator).run(2.0, ["touch.penetration"], every=0.1)
         deep[recovery] = run["touch.penetration"].values[-1].max()
-    # One end after the other is let fall for a step; g dt in 0.02 s is 0.2 mm.
+    # The ends are released for a step alternately; g dt in 0.02 s is 0.2 mm.
     assert deep[0.02] < 2e-4
     assert deep[None] > 10.0 * deep[0.02]
 
@@ -99,7 +100,7 @@ def test_slipping_contact_has_slip_mode_and_dynamic_friction(device):
     data = wc.Simulation(model, 2e-3, HARD).run(1.0, ["touch.mode", "block.linear_velocity"])
     assert (data["touch.mode"].values[2:] == wc.ContactMode.SLIP).all()
     speed = 0.5 + G * (np.sin(0.35) - 0.05 * np.cos(0.35)) * 1.0
-    # The first step is one of a new contact, with the static coefficient.
+    # The first step is a new contact, with the static coefficient.
     first = G * 0.25 * np.cos(0.35) * 2e-3
     assert data["block.linear_velocity"].values[-1, 0, 0] == pytest.approx(speed - first, abs=first)
 
@@ -112,7 +113,7 @@ def test_rotating_body_conserves_angular_momentum_in_float32(device):
     model = scene.build(device=device)
     before = model.sensor("scene.angular_momentum")
     wc.Simulation(model, 1e-3, HARD).step(10_000)
-    # Rounding of single steps, 1e-7, adds up at random.
+    # Rounding of single steps, 1e-7, accumulates at random.
     np.testing.assert_allclose(model.sensor("scene.angular_momentum"), before, atol=3e-4)
 
 
@@ -135,7 +136,7 @@ def test_stacked_boxes_come_to_rest_with_overlap_recovery(device):
     assert model.sensor("scene.closed_contacts")[0] == 12
     assert model.sensor("scene.solve_failures")[0] == failures
     assert model.sensor("scene.restitution_limited")[0] == restitution_limited
-    # What is left is what bodies fall in a step, for each contact.
+    # The remaining penetration is the fall of a body in one step, for each contact.
     assert -4.0 * G * 1e-6 < model.sensor("box0_feet.gap").min() < 0.0
 
 
@@ -155,6 +156,7 @@ def test_contacts_of_one_fixed_body_are_not_coupled(device, solver):
     model = scene.build(device=device)
     model["fast.linear_velocity"] = (1000.0, 0.0, 0.0)
     wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver=solver)).step(200)
-    # To what its own solves leave; as large as what those of the other leave it would be a thousand times that.
+    # Accurate to its own residual. With the residuals of the other environment, the error would be a thousand
+    # times larger.
     assert model.sensor("slow_touch.normal_force")[0] == pytest.approx(1e-3 * G, rel=2e-4)
     assert model.sensor("slow_touch.gap")[0] > -2e-5

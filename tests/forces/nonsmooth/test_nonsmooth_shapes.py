@@ -1,4 +1,4 @@
-"""Nonsmooth contact of smooth shapes: that of the same sphere on a flat mesh, and closed forms."""
+"""Nonsmooth shape contact equals that of the same sphere on a flat mesh, and closed forms."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,12 @@ from scenes import square
 import warpcontact as wc
 
 RADIUS = 0.1
-INERTIA = (0.4 * RADIUS**2,) * 3  # of a solid ball of 1 kg
+INERTIA = (0.4 * RADIUS**2,) * 3  # solid ball of 1 kg
 THROWN = {"position": (0, 0, 0.15), "linear_velocity": (1.5, 0.3, -2.0), "angular_velocity": (3.0, -2.0, 9.0)}
 
 
 def sphere(material, *, smooth=True, start=THROWN, gravity=G, contact=None, **built):
-    """A solid ball of 1 kg over a plane at z = 0, which is a shape or a mesh."""
+    """A solid ball of 1 kg above a plane at z = 0, which is a shape or a mesh."""
     scene = wc.Scene(gravity=(0.0, 0.0, -gravity))
     body = scene.add_body(1.0, INERTIA, name="ball", **start)
     options = {"name": "touch", **(contact or {})}
@@ -37,7 +37,7 @@ def test_nonsmooth_sphere_on_plane_matches_flat_mesh(device):
         ).run(2.0, names)
         for smooth in (True, False)
     ]
-    # Two ways to the same place of contact, to rounding; what is left of the solves is 1e-10.
+    # Two implementations give the same contact point, to rounding; the residual of the solver is 1e-10.
     for name in names:
         np.testing.assert_allclose(runs[0][name], runs[1][name], rtol=1e-8, atol=1e-8, err_msg=name)
     assert set(np.unique(runs[0]["touch.mode"])) == set(wc.ContactMode)
@@ -47,7 +47,7 @@ def test_nonsmooth_sphere_on_plane_matches_flat_mesh(device):
 def test_nonsmooth_sliding_sphere_shape_ends_up_rolling(device):
     speed = 3.0
     start = {"position": (0.0, 0.0, RADIUS), "linear_velocity": (speed, 0.0, 0.0)}
-    # At the surface of the ball, so that the arm is its radius.
+    # With the contact point on the surface of the ball, so that the lever arm is its radius.
     model = sphere(rigid(mu=0.2), start=start, contact={"kappa": 1.0}, device=device)
     wc.Simulation(model, 1e-3, HARD).step(1000)
     velocity = model.sensor("ball.linear_velocity")[0, 0]
@@ -66,7 +66,7 @@ def test_nonsmooth_shape_restitution_and_friction_can_vary_by_environment(device
     data = simulation.run(0.01, ["touch.impulse"])
     after = model.sensor("ball.linear_velocity")
     assert after[:, 2] == pytest.approx([0.0, 1.2, 3.0], abs=1e-9)
-    # What slides takes μ (1 + e) v.
+    # Sliding removes μ (1 + e) v.
     assert after[:, 0] == pytest.approx([2.0, 2.0 - 0.1 * 4.2, 2.0 - 0.05 * 6.0], abs=1e-9)
     assert data["touch.impulse"].values.sum(axis=0)[:, 2] == pytest.approx([3.0, 4.2, 6.0], abs=1e-9)
     model["touch.law.restitution"] = 0.25
@@ -91,7 +91,7 @@ def test_nonsmooth_sphere_bounces_off_ellipsoid_along_its_normal(precision, devi
     after = model.sensor("ball.linear_velocity")[0]
     tolerance = 1e-4 if precision == "float32" else 1e-9
     assert after == pytest.approx(before - 1.8 * (before @ normal) * normal, abs=tolerance)
-    # The normal of the middle of the step, at most v h from that of its end.
+    # The normal of the middle of the step differs from that of the end by at most v h.
     assert normal == pytest.approx(data["touch.normal"].values[hit, 0], abs=2.0 * 1e-3 / RADIUS)
     assert -data["touch.gap"].values.min() <= 2.0 * 1e-3
 
@@ -113,7 +113,7 @@ def test_nonsmooth_spheres_exchange_momentum_as_newton(device):
 
 @pytest.fixture(scope="module")
 def three(device):
-    """Three balls on a plane by the same code; the one in the middle is hard."""
+    """Three balls on a plane with the same contact model; the middle one is nonsmooth."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
     material = wc.ContactMaterial(
@@ -152,7 +152,7 @@ def test_compliant_and_nonsmooth_shape_contacts_can_share_a_scene(three):
         ],
     )
     left, right = (data[f"{name}.position"].values for name in ("left", "right"))
-    # Places side by side, which are rounded differently.
+    # Different positions are rounded differently.
     np.testing.assert_allclose(left[..., [0, 2]], right[..., [0, 2]], rtol=1e-12)
     assert left[..., 2].min() < RADIUS - 1e-3
     assert (data["left_touch.normal_force"].values > 0).any()
@@ -160,7 +160,7 @@ def test_compliant_and_nonsmooth_shape_contacts_can_share_a_scene(three):
     force[..., 2] += data["middle_touch.normal_force"].values
     np.testing.assert_allclose(data["middle.force"], force, atol=1e-9)
     assert force[-1, :, 2] == pytest.approx(G, rel=1e-6)
-    # A law without restitution has none here.
+    # A law without restitution is inelastic here.
     assert np.abs(model.sensor("middle.linear_velocity")[:, 2]).max() < 1e-9
     assert "left_touch.impulse" not in model.sensor_names
     assert "middle_touch.impulse" in model.sensor_names
@@ -199,7 +199,7 @@ def test_nonsmooth_shapes_are_unchanged_by_sensor_evaluation(three):
 
 
 def test_simulations_with_different_integrators_use_their_own_contacts(three):
-    """The forces of the law come back with an integrator that asks for them, and go again."""
+    """Normal forces of the compliant law return with a compliant integrator, and disappear again."""
     model, integrator = three
     hard = wc.Simulation(model, 2e-4, integrator)
     hard.reset()
@@ -211,7 +211,7 @@ def test_simulations_with_different_integrators_use_their_own_contacts(three):
     assert model.sensor("middle_touch.penetration") == pytest.approx(G / 1e5, rel=1e-2)
     assert model.sensor("middle.force")[:, 2] == pytest.approx(G, rel=1e-2)
     hard.step(1)
-    # It touches since before, and presses with g h² at least.
+    # An existing contact has at least the impulse of g h per unit mass.
     assert (model.sensor("middle_touch.normal_force") > 0.9 * G).all()
     force = model.sensor("middle_touch.friction_force")
     force[:, 2] += model.sensor("middle_touch.normal_force")

@@ -1,4 +1,4 @@
-"""Nonsmooth contact at rest: bodies that stand stay, to the last bit, and steps that change nothing are left out."""
+"""Sleeping in nonsmooth contact: bodies at rest are bitwise constant, and steps without change are skipped."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,15 @@ import warpcontact as wc
 SENSORS = ("position", "orientation", "linear_velocity", "angular_velocity")
 SPEEDS = np.stack([np.linspace(0.0, 1.0, 7), np.linspace(0.3, -0.2, 7), np.zeros(7)], axis=1)
 EPSILON = {"float32": 1.2e-7, "float64": 2.3e-16}
-# Environments that rounding may leave to balance on two feet: of these speeds one, in float32.
+# Number of environments in which rounding may leave the box balanced on two points; one of these speeds, in
+# float32.
 FEW = {"float32": 1, "float64": 0}
 
 
 def sliding(precision, device, *, stack=True, threads=None, **watched):
-    """A simulation of a box with eight feet, one more on it, that slide and come to rest.
+    """Simulation of a box with eight contact points, and one more box on it, that slide and come to rest.
 
-    That is within 0.6 s, but for what is left to balance on two feet: that settles as rounding lets it.
+    They come to rest within 0.6 s, except boxes balanced on two points, whose settling depends on rounding.
     """
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     below = scene.add_surface(square(20.0), name="ground")
@@ -47,7 +48,7 @@ def test_sleeping_body_does_not_creep(precision, device):
     sim.step(300)
     speed = np.linalg.norm(sim.model.sensor("box1.linear_velocity"), axis=-1)
     assert np.count_nonzero(speed) <= FEW[precision]
-    # Not more than what the tolerance leaves of the velocity that gravity gives in a step.
+    # At most the part of the velocity of gravity in a step that the tolerance leaves.
     assert speed.max() < 1e-4 * G * sim.dt
     for _ in range(8):
         sim.step(100)
@@ -58,7 +59,7 @@ def test_sleeping_body_does_not_creep(precision, device):
     sim.step(200)
     for name, values in before.items():
         np.testing.assert_array_equal(sim.model.sensor(f"box1.{name}"), values)
-    # Sums of some impulses of the weight, rounded.
+    # Rounding in sums of several impulses of the weight.
     assert sim.model.sensor("scene.solve_residual").max() < 32 * EPSILON[precision]
     assert not sim.model.sensor("scene.solve_iterations").any()
 
@@ -66,7 +67,7 @@ def test_sleeping_body_does_not_creep(precision, device):
 @pytest.mark.parametrize("precision", EPSILON)
 @pytest.mark.parametrize("stack", [False, True])
 def test_skipped_steps_of_sleeping_bodies_would_change_nothing(precision, stack, device):
-    """A call of one step leaves none out."""
+    """A call of ``step`` with one step skips none."""
     together, alone = (
         sliding(precision, device, stack=stack, threads=2),
         sliding(precision, device, stack=stack, threads=1),
@@ -89,7 +90,7 @@ def test_skipped_steps_of_sleeping_bodies_would_change_nothing(precision, stack,
 @pytest.mark.parametrize("precision", EPSILON)
 @pytest.mark.parametrize("every", [1, 3, 4])
 def test_body_with_zero_velocity_in_the_air_does_not_sleep(precision, every, device):
-    """All sums are exact here: on top there is no velocity, no contact, and nothing to solve."""
+    """All sums are exact here: at the apex velocity is zero, and there is no contact and no row to solve."""
     scene = wc.Scene(gravity=(0.0, 0.0, -8.0))
     ground = scene.add_surface(square(20.0))
     ball = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0.0, 0.0, 1.0), name="ball")
@@ -110,7 +111,7 @@ def test_sleeping_body_wakes_after_a_parameter_change(device):
     sim.model["scene.gravity"] = gravity
     sim.step(100)
     moved = np.linalg.norm(sim.model.sensor("box0.position") - position, axis=1)
-    # Half of the acceleration times the time squared; to a step of first order.
+    # Half of acceleration times time squared, first-order accurate in the step.
     assert moved[3] == pytest.approx(0.5 * G * (np.sin(0.5) - 0.4 * np.cos(0.5)) * 0.2**2, rel=0.02)
     assert not np.delete(moved, 3).any()
 
@@ -133,13 +134,13 @@ def test_monitored_steps_are_not_skipped(device):
     )
     watched.step(400)
     held = np.asarray(watched.outcomes()["held"]).sum(axis=-1)
-    # The weight over 0.8 s, but for the first steps, in which it falls onto its feet.
+    # The weight over 0.8 s, except for the first steps, in which the box falls onto its points.
     np.testing.assert_allclose(held, 20.0 * G * 0.8, rtol=0.01)
 
 
 @pytest.mark.parametrize("precision", EPSILON)
 def test_body_standing_on_its_center_of_mass_is_rotated_by_a_torque(precision, device):
-    """However little a contact there sees of the turning."""
+    """For any lever arm of the contact, however small."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(20.0))
     top = scene.add_body(1.0, (0.1, 0.1, 0.1), name="top")
@@ -156,7 +157,7 @@ def test_body_standing_on_its_center_of_mass_is_rotated_by_a_torque(precision, d
 
 @pytest.mark.parametrize("load", [0.999, 1.001])
 def test_block_at_the_friction_limit_stands_below_and_slides_above(load):
-    """On the edge of the cone, where standing would take a little more friction than there is."""
+    """At the boundary of the cone, standing needs slightly more friction than there is."""
     slope = np.arctan(0.5 * load)
     model = block(0.5, slope=slope, height=-1e-3)
     sim = wc.Simulation(model, 1e-3, HARD)
@@ -172,7 +173,7 @@ def test_tower_is_stopped_in_one_iteration_from_a_fair_guess():
     result = step.solve("gauss_seidel", tolerance=1e-8)
     assert result.iterations == 1
     assert not result.velocity.any()
-    # Rounding of impulses that are shared and added up.
+    # Rounding of impulses that are distributed and summed.
     assert step.residual(result.impulse, step.momentum_after(result.impulse)) < 1e-14
 
 
@@ -197,7 +198,7 @@ def test_push_beyond_friction_is_not_stopped(solver):
 
 
 def test_rest_impulses_of_light_body_do_not_underflow():
-    """Products of small masses and short arms are smaller than the least float32."""
+    """Products of small masses and short lever arms are below the smallest float32."""
     arms = [np.array([x, y, 0.0]) for x in (-1e-4, 1e-4) for y in (-1e-4, 1e-4)]
     mass = 1e-6
     rows = [Row(0, WORLD, arm, np.zeros(3), UP, 0.5) for arm in [*arms, np.zeros(3)]]

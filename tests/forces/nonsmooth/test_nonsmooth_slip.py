@@ -1,4 +1,6 @@
-"""Fast slips, which Gauss–Seidel solves by their direction: as the equation for a slip does, or not at all."""
+"""Fast slip, which Gauss–Seidel solves by its direction: results equal those of the slip equation, or fall back to
+it.
+"""
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from warpcontact.kernels.types import WORLD
 
 @pytest.fixture
 def by_equation(monkeypatch):
-    """Solves a step without looking for directions."""
+    """Solves a step without the search over directions."""
 
     def solve(step, **options):
         monkeypatch.setattr(gauss_seidel, "MAX_SLIP_ITERATIONS", 0)
@@ -27,13 +29,13 @@ def slipping(rng, bodies, moves, mu):
     inverse = [(2.0, np.diag(rng.uniform(0.1, 0.3, 3))) for _ in range(bodies)]
     if moves:
         free = Step(inverse, np.zeros((bodies, 2, 3)), []).inverse
-        # Mass that differs by direction, coupled with turning, as that of what is bound to something.
+        # Directional mass coupled with rotation, as for a body with a joint.
         couplings = rng.uniform(-0.2, 0.2, (bodies, 6, 6))
         inverse = [one + coupling @ coupling.T for one, coupling in zip(free, couplings, strict=True)]
     velocities = rng.uniform(-1.0, 1.0, (bodies, 2, 3))
     arms = rng.uniform(-0.3, 0.3, (2, 3))
     step = Step(inverse, velocities, [Row(0, 1 if bodies == 2 else WORLD, *arms, UP, mu)])
-    # A fast slip, and a slow approach.
+    # Fast slip and slow approach.
     wanted = np.concatenate([rng.uniform(-0.1, -0.01, 1), rng.uniform(2.0, 4.0, 2)])
     _, q = step.dense()
     R = step.jacobian()[:, :3]
@@ -58,7 +60,7 @@ def test_single_slip_solve_matches_its_equation(bodies, moves, mu, by_equation):
 
 @pytest.mark.parametrize("number", range(8))
 def test_impulse_is_bounded_for_immobile_contact_direction(number):
-    """A slider along the ground: the normal cannot move, but by what rounding leaves of its direction."""
+    """A slider along the ground: the normal direction is immobile up to rounding."""
     turn = 0.1 + 0.37 * number
     axis = np.array([np.cos(turn), np.sin(turn), 0.0])
     tilt = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
@@ -67,6 +69,6 @@ def test_impulse_is_bounded_for_immobile_contact_direction(number):
     step = Step([inverse], [(tilt @ axis, np.zeros(3))], [])
     step.rows = [Row(0, WORLD, np.zeros(3), np.zeros(3), tilt @ UP, 0.0, restitution_speed=0.01)]
     result = step.solve("gauss_seidel", iterations=1)
-    # The softened block: a hundredth of the mass, three times.
+    # Bound from the relaxed row: a hundredth of the mass, three times.
     assert np.abs(result.impulse).max() < 5.0
     assert not result.converged

@@ -1,4 +1,4 @@
-"""The solvers of a step of nonsmooth contact, on bodies and contacts made by hand."""
+"""Solvers of a nonsmooth step, on handmade bodies and contacts."""
 
 import json
 
@@ -19,12 +19,12 @@ def on_device(device, monkeypatch):
 
 
 def close(real, fine=1e-9, coarse=2e-4):
-    """Tolerance: what a residual of the default tolerance leaves of quantities of order one."""
+    """Tolerance for quantities of order one at the default residual."""
     return fine if real == wp.float64 else coarse
 
 
 def block(force=0.0, height=1.0, mu=0.5):
-    """The rigid block of 10 kg, 1 m wide, 2 m high, on four corners, after a step under a push at a height."""
+    """A rigid block of 10 kg, 1 m wide, 2 m high, on four vertices, after a step under a push at a height."""
     inertia = np.diag([10.0 * 5 / 12, 10.0 * 5 / 12, 10.0 / 6])
     rows = [
         Row(0, WORLD, np.array([x, y, -1.0]), np.array([x, y, 0.0]), UP, mu)
@@ -43,7 +43,7 @@ def ball(velocity, spin=(0.0, 0.0, 0.0), mass=2.0, radius=0.1, **options):
 
 
 def random_step(seed, bodies=5, contacts=10, mu=0.5, hinges=False, bounce=0.3):
-    """Bodies that touch each other and the world here and there, and approach or part."""
+    """Bodies in contact with each other and the world at random, approaching or separating."""
     rng = np.random.default_rng(seed)
     inverse_masses, velocities = [], []
     for i in range(bodies):
@@ -61,7 +61,7 @@ def random_step(seed, bodies=5, contacts=10, mu=0.5, hinges=False, bounce=0.3):
     rows = []
     for _ in range(contacts):
         first, second = rng.choice(np.arange(WORLD, bodies), 2, replace=False)
-        # Bodies of one freedom cannot part from all sides at once.
+        # Bodies with one degree of freedom cannot separate at all contacts at once.
         parting = 0.0 if hinges else bounce * rng.random()
         arm_1, arm_2 = rng.normal(size=3), rng.normal(size=3)
         rows.append(Row(first, second, arm_1, arm_2, unit(rng), mu * rng.random(), parting))
@@ -82,14 +82,14 @@ def free(mass, inertia):
 
 
 def hinge(axis, arm, mass, inertia):
-    """The same of a body that turns about an axis; ``arm`` leads from there to its centre of mass."""
+    """Same for a body that rotates about an axis; ``arm`` points from there to its center of mass."""
     lever = np.concatenate([np.cross(axis, arm), axis])
     about = axis @ (inertia - mass * cross(arm) @ cross(arm)) @ axis
     return np.outer(lever, lever) / about
 
 
 def assert_solved(step, result, tolerance):
-    """What a solver says of its residual is so, and impulses and velocities belong together."""
+    """Asserts that the residual is as reported and small, and that velocities match the impulses."""
     assert result.converged
     assert result.residual <= tolerance
     assert step.residual(result.impulse, result.velocity) <= 1.01 * tolerance + 1e-13
@@ -101,7 +101,7 @@ def assert_solved(step, result, tolerance):
 @pytest.mark.parametrize("case", ["slip", "stick", "open"])
 def test_nonsmooth_solver_matches_reference_for_one_contact(shared, solver, case):
     oracle = json.loads((shared / "spec" / "oracle_signorini.json").read_text())["contact3d"]
-    # A body that opposes to an impulse through its centre of mass what the oracle has as W.
+    # A body whose inverse mass for impulses at its center of mass is W of the oracle.
     inverse = np.zeros((6, 6))
     inverse[:3, :3] = oracle["W"]
     inverse[3:, 3:] = np.eye(3)
@@ -151,13 +151,13 @@ def test_random_systems_satisfy_the_contact_law_in_float32(solver):
         step = random_step(seed)
         result = step.solve(solver, wp.float32)
         assert result.converged
-        # Recomputed in float64, of what was rounded once more.
+        # Recomputed in float64 from values rounded once more.
         assert step.residual(result.impulse, result.velocity) <= 2e-5
 
 
 @pytest.mark.parametrize("hinges", [False, True])
 def test_nonsmooth_solvers_agree_on_velocities(hinges):
-    """With little friction the solution is unique in velocities, however contacts share the impulses."""
+    """With low friction, velocities are unique for any distribution of impulses."""
     for seed in range(10):
         step = random_step(100 + seed, bodies=4, contacts=12, mu=0.2, hinges=hinges)
         one, other = (step.solve(solver, tolerance=1e-12, iterations=50000) for solver in SOLVERS)
@@ -170,7 +170,7 @@ def test_nonsmooth_solvers_agree_on_velocities(hinges):
 def test_contact_between_bodies_conserves_momentum(solver):
     step = random_step(3)
     step.rows = [row for row in step.rows if WORLD not in (row.first, row.second)]
-    for row in step.rows:  # at one place in the world: bodies at the origin
+    for row in step.rows:  # at one point of the world: bodies at the origin
         row.arm_2 = row.arm_1
     result = step.solve(solver)
     linear, angular = np.zeros(3), np.zeros(3)
@@ -186,7 +186,7 @@ def test_contact_separates_at_its_bounce_velocity(solver):
     result = ball([0.0, 0.0, -3.0], bounce=2.4).solve(solver)
     np.testing.assert_allclose(result.velocity[0], [0, 0, 2.4, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(result.impulse[0], [0, 0, 2.0 * 5.4], atol=1e-11)
-    # Faster than its bounce already: nothing acts.
+    # Separates faster than its restitution already: the impulse is zero.
     result = ball([0.3, 0.0, 3.0], bounce=2.4, mu=0.5).solve(solver)
     np.testing.assert_allclose(result.velocity[0], [0.3, 0, 3.0, 0, 0, 0], atol=0)
     np.testing.assert_allclose(result.impulse, 0.0, atol=0)
@@ -198,7 +198,7 @@ def test_sliding_ball_gains_spin(solver):
     # P = m (−μ 0.1, 0, 0.1), and r × P over 2/5 m r².
     expected = [0.97, 0.0, 0.0, 0.0, 2.5 * 0.03 / 0.1, 0.0]
     np.testing.assert_allclose(result.velocity[0], expected, atol=1e-11)
-    # Friction enough to roll: v = 5/7 of what it was.
+    # Friction is sufficient for rolling: 5/7 of the velocity.
     result = ball([1.0, 0.0, -3.0], mu=0.3).solve(solver)
     np.testing.assert_allclose(result.velocity[0], [5 / 7, 0, 0, 0, 5 / 0.7, 0], atol=1e-10)
 
@@ -211,7 +211,7 @@ def test_rolling_and_torsional_friction_are_bounded(solver, real):
     inertia, pressed = 0.4 * mass * radius**2, mass * 0.1
     about = inertia + mass * radius**2
     atol = close(real)
-    # It rolls on, braked: (I + m r²) Δω = rolling P_n, and the spin about the normal likewise.
+    # It continues to roll, decelerated: (I + m r²) Δω = rolling P_n, and spin about the normal likewise.
     spin = 2.0
     options = {"mu": 0.8, "rolling": rolling, "spinning": spinning}
     fast = ball([spin * radius, 0.0, -0.1], [0.0, spin, spin], **options).solve(solver, real)
@@ -220,12 +220,12 @@ def test_rolling_and_torsional_friction_are_bounded(solver, real):
     twist = spin - spinning * pressed / inertia
     np.testing.assert_allclose(fast.velocity[0], [rate * radius, 0, 0, 0, rate, twist], atol=10 * atol)
     np.testing.assert_allclose(fast.couple[0], [0, -rolling * pressed, -spinning * pressed], rtol=10 * atol)
-    # So slow that it stops, with less than the limits.
+    # So slow that it stops within the limits.
     spin = 1e-3
     slow = ball([spin * radius, 0.0, -0.1], [0.0, spin, spin], **options).solve(solver, real)
     assert slow.converged
     np.testing.assert_allclose(slow.velocity[0], 0.0, atol=10 * atol)
-    # A residual is a share of the impulse, and so of a couple at its arm.
+    # A residual is relative to the impulse, and to the torque at its lever arm.
     expected = [0, -about * spin, -inertia * spin]
     np.testing.assert_allclose(slow.couple[0], expected, atol=atol * radius * pressed)
 
@@ -241,7 +241,7 @@ def test_ball_next_to_one_of_another_mass_moves_as_alone(solver, real, other_mas
     velocities = [(one.velocity[0, :3], one.velocity[0, 3:]) for one in (alone, other)]
     both_balls = Step(masses, velocities, [*alone.rows, *other.rows]).solve(solver, real)
     assert both_balls.converged
-    # μ 0.02 off the speed, and the other stays.
+    # The speed is reduced by μ 0.02; the other ball is unchanged.
     expected = [1.0 - 0.3 * 0.02, 0.0, 0.0, 0.0, 2.5 * 0.3 * 0.02 / 0.1, 0.0]
     np.testing.assert_allclose(both_balls.velocity[0], expected, atol=close(real))
     np.testing.assert_allclose(both_balls.velocity[1], 0.0, atol=close(real))
@@ -251,7 +251,7 @@ def test_ball_next_to_one_of_another_mass_moves_as_alone(solver, real, other_mas
 def test_light_cube_on_heavy_one_rests(real):
     result = tower([1e5, 1e-2]).solve("accelerated", real)
     assert result.converged
-    # To the velocity that gravity gives in a step, whatever the mass.
+    # Relative to the velocity of gravity in a step, for any mass.
     np.testing.assert_allclose(result.velocity, 0.0, atol=G * DT * close(real))
 
 
@@ -265,7 +265,7 @@ def test_door_is_stopped_and_rebounds(solver):
     stop = Row(0, WORLD, np.array([0.4, 0.0, 0.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.5, bounce=0.9)
     step = Step([hinge(axis, arm, 4.0, inertia)], [velocity], [stop])
     result = step.solve(solver)
-    after = 0.9 / 0.9  # bounce over the lever
+    after = 0.9 / 0.9  # velocity after the bounce over the lever arm
     np.testing.assert_allclose(result.velocity[0], [0, 0.5 * after, 0, 0, 0, after], atol=1e-12)
     np.testing.assert_allclose(result.impulse[0], [0, about * (after - rate) / 0.9, 0], atol=1e-10)
 
@@ -309,7 +309,7 @@ def test_inactive_environments_are_unchanged(solver):
 
 
 def _values(arrays, name):
-    """What there is of a name, in records or in a struct of arrays; None if it is not there."""
+    """Values by name, from records or from a struct of arrays; None if absent."""
     if isinstance(arrays, wp.array):
         records = arrays.numpy()
         return records[name] if name in records.dtype.names else None
@@ -334,7 +334,8 @@ def test_good_warm_start_is_kept_and_fair_one_saves_iterations(solver):
     step = tower([1.0, 1.0])
     cold = step.solve(solver, tolerance=1e-8)
     step.guess(cold.impulse)
-    # Within the tolerance, Gauss-Seidel still stops what stands, to rounding; what was still then, it keeps.
+    # Below the tolerance, Gauss–Seidel still stops standing bodies to rounding. If the bodies were at rest, it
+    # keeps the impulses.
     step.guess(step.solve(solver, tolerance=1e-8).impulse)
     step.still = True
     warm = step.solve(solver, tolerance=1e-8)
@@ -347,7 +348,7 @@ def test_good_warm_start_is_kept_and_fair_one_saves_iterations(solver):
 
 @both
 def test_float32_solution_is_invariant_to_common_velocity(solver):
-    """A tower in a train at 1000 m/s, where velocities are rounded to more than the tolerance."""
+    """A tower that moves at 1000 m/s, where velocities are rounded to more than the tolerance."""
     step = tower([1.0, 1.0])
     still = step.solve(solver, wp.float32)
     for row in step.rows[:4]:
@@ -366,7 +367,7 @@ def test_residual_is_reported_if_not_converged(solver):
     result = step.solve(solver, tolerance=1e-12, iterations=5)
     assert not result.converged
     assert result.iterations == 5
-    # And what it says is so.
+    # The reported residual is correct.
     assert result.residual == pytest.approx(step.residual(result.impulse, result.velocity), rel=1e-9)
     assert result.residual > 1e-6
 
@@ -382,9 +383,9 @@ def test_tolerance_below_rounding_ends_the_iteration(solver, real):
 
 @both
 def test_systems_with_large_friction_and_joints_are_solved(solver):
-    """Up to μ = 2, where exact steps of Gauss–Seidel go in circles, and hinges, where they grow without end.
+    """Up to μ = 2, where exact Gauss–Seidel steps cycle, and with joints, where they diverge.
 
-    Solutions exist: there are velocities at which all contacts part.
+    Solutions exist, because there are velocities at which all contacts separate.
     """
     for seed in (1004, 1009, 1015, 1016, 1025, 1041, 1056):
         step = random_step(seed, mu=2.0)
@@ -399,7 +400,7 @@ def test_second_solver_converges_if_the_first_cycles():
     alone = step.solve("gauss_seidel", tolerance=1e-10, iterations=3000)
     assert not alone.converged
     assert alone.residual > 1e-3
-    # From the same guess and velocities without contact.
+    # From the same warm start and velocities without contact.
     result = step.solve_in_turn(["gauss_seidel", "accelerated"], 1e-10, (100, 1000))
     assert_solved(step, result, 1e-10)
     assert 100 < result.iterations < 1100
@@ -415,7 +416,9 @@ def test_second_solver_keeps_the_solution_of_the_first():
 
 
 def test_accelerated_solver_converges_for_hyperstatic_towers():
-    """Ten cubes on four feet each: Gauss–Seidel needs more than 1000 sweeps, this less than 200 iterations."""
+    """Ten cubes with four contacts each: Gauss–Seidel needs over 1000 sweeps, this solver less than 200
+    iterations.
+    """
     step = tower([1.0] * 10)
     slow = step.solve("gauss_seidel", tolerance=1e-10, iterations=400)
     fast = step.solve("accelerated", tolerance=1e-10, iterations=400)
@@ -426,7 +429,7 @@ def test_accelerated_solver_converges_for_hyperstatic_towers():
 
 @both
 def test_heavy_body_on_light_one_is_solved(solver):
-    """A thousand to one, pushed so that contacts slip: thousands of iterations, and solved by both."""
+    """Mass ratio of a thousand, pushed so that contacts slip: both solvers converge after thousands of iterations."""
     step = tower([1.0, 1000.0], push=0.1)
     assert_solved(step, step.solve(solver, tolerance=1e-9, iterations=20000), 1e-9)
 
@@ -447,7 +450,7 @@ def test_warm_start_is_passed_to_the_second_solver():
 @pytest.mark.parametrize("hinges", [False, True])
 @pytest.mark.parametrize("mu", [0.2, 0.7, 2.0])
 def test_random_systems_are_solved_or_reported_as_not_converged(hinges, mu):
-    """One solver after the other; where both fail the residual is what they say. Without motion all rows hold."""
+    """Runs the solvers in turn; if both fail, the reported residual is correct. Without motion all rows hold."""
     failed = 0
     for seed in range(1000):
         bodies = 2 + seed % 7
@@ -462,6 +465,6 @@ def test_random_systems_are_solved_or_reported_as_not_converged(hinges, mu):
 
 @pytest.mark.slow
 def test_accelerated_solver_converges_for_tall_towers():
-    """Thirty cubes: an iteration carries news from one cube to the next alone, so that it takes some hundreds."""
+    """Thirty cubes: an iteration passes impulses to the next cube only, so some hundreds are needed."""
     step = tower([1.0] * 30)
     assert_solved(step, step.solve("accelerated", tolerance=1e-9, iterations=1500), 1e-9)

@@ -1,4 +1,4 @@
-"""Spheres and capsules of a pile touch as closed forms say, keep momentum, and find every pair there is."""
+"""Particle contact of spheres and capsules: closed forms, conservation of momentum, completeness of pairs."""
 
 import itertools
 
@@ -13,7 +13,7 @@ ELASTIC = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS))
 
 
 def spheres(positions, velocities, material=ELASTIC, *, gravity=(0, 0, 0), form=None, **options):
-    """Returns a scene of equal bodies in a pile."""
+    """Returns a scene of equal bodies in particle contact."""
     scene = wc.Scene(gravity=gravity)
     balls = scene.add_bodies(positions, MASS, INERTIA, linear_velocities=velocities, name="ball")
     shape = scene.add_shape(balls, wc.shapes.Sphere(RADIUS) if form is None else form, name="shape")
@@ -23,7 +23,7 @@ def spheres(positions, velocities, material=ELASTIC, *, gravity=(0, 0, 0), form=
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_head_on_particle_impact_matches_spring_penetration_and_duration(device, precision):
-    """Two masses on a spring: depth v √(m/2k), touching for π √(m/2k), velocities exchanged."""
+    """Two masses and a spring: penetration v √(m/2k), contact duration π √(m/2k), velocities exchanged."""
     speed = 1.0
     time = np.sqrt(0.5 * MASS / STIFFNESS)
     scene = spheres([[0, 0, 0], [2.1 * RADIUS, 0, 0]], [[speed, 0, 0], [0, 0, 0]])
@@ -32,7 +32,7 @@ def test_head_on_particle_impact_matches_spring_penetration_and_duration(device,
     recording = wc.Simulation(model, dt=dt).run(
         0.0208, record=["pile.max_penetration", "pile.contacts", "pile.force", "ball.linear_velocity"]
     )
-    # The step samples the depth; semi-implicit Euler is of second order in the depth of a spring.
+    # The step samples the penetration; semi-implicit Euler is of second order in the penetration of a spring.
     assert recording["pile.max_penetration"].max() == pytest.approx(speed * time, rel=1e-3)
     touched = float(recording["pile.contacts"].sum()) * dt
     assert touched == pytest.approx(np.pi * time, abs=2 * dt)
@@ -44,7 +44,7 @@ def test_head_on_particle_impact_matches_spring_penetration_and_duration(device,
 
 
 def test_dissipative_particle_impact_has_restitution_of_its_law(device):
-    """A law with restitution gives it to spheres as to meshes: e of the relative speed, the same momentum."""
+    """A law with restitution has the same e for particles and meshes; momentum is conserved."""
     restitution, speed = 0.6, 0.5
     law = wc.laws.HuntCrossley(stiffness=1e7, exponent=1.5, restitution=restitution)
     wall = wc.Scene(gravity=(0, 0, 0))
@@ -54,7 +54,7 @@ def test_dissipative_particle_impact_has_restitution_of_its_law(device):
     )
     wall.add_contact(wall.add_point(ball, (0, 0, 0)), floor, wc.ContactMaterial(law=law), radius=RADIUS)
     at_wall = wall.build(device=device, precision="float64")
-    # Against an equal sphere at the opposite speed: the wall is where they meet, and half as stiff a spring acts.
+    # Equivalent to a wall at the plane of symmetry with half the penetration: the stiffness is divided by 2^1.5.
     twice = wc.laws.HuntCrossley(stiffness=1e7 / 2**1.5, exponent=1.5, restitution=restitution)
     pair = spheres(
         [[0, 0, 0], [0, 0, 2.1 * RADIUS]], [[0, 0, speed], [0, 0, -speed]], wc.ContactMaterial(law=twice)
@@ -63,13 +63,13 @@ def test_dissipative_particle_impact_has_restitution_of_its_law(device):
         wc.Simulation(model, dt=2e-6).step(20_000)
     out = at_wall.sensor("ball.linear_velocity")[0, 2]
     velocities = pair.sensor("ball.linear_velocity")[0, :, 2]
-    # Alike but for the speed that the law takes its damping from: twice the speed, half the penetration of each.
+    # Equal except for the speed that determines damping: twice the speed, half the penetration of each.
     np.testing.assert_allclose(velocities, [-out, out], rtol=1e-3)
 
 
 def test_oblique_particle_impact_with_sticking_friction_matches_closed_form(device):
-    """Rigid spheres that stick: the tangential impulse is 1/7 m v_t for two equal ones, and makes them spin."""
-    # So slow that the line of centres turns by little.
+    """Sphere pair that sticks: the tangential impulse is 1/7 m v_t for equal spheres, and makes them rotate."""
+    # So slow that the line of centers turns little.
     normal_speed, slip = 0.02, 0.1
     material = wc.ContactMaterial(
         law=wc.laws.Hooke(stiffness=1e6), friction=wc.friction.Tanh(mu=2.0, velocity_scale=1e-4)
@@ -86,7 +86,7 @@ def test_oblique_particle_impact_with_sticking_friction_matches_closed_form(devi
 
 
 def test_chain_of_particles_conserves_momentum_and_energy(device):
-    """A sphere that hits a chain: momentum to rounding, energy to what the step leaves of it."""
+    """A sphere that hits a chain: momentum is conserved to rounding, energy to the error of the step."""
     count = 6
     positions = np.zeros((count, 3))
     positions[:, 0] = 2.0 * RADIUS * np.arange(count)
@@ -97,12 +97,12 @@ def test_chain_of_particles_conserves_momentum_and_energy(device):
     wc.Simulation(model, dt=4e-6).step(10_000)
     assert model.sensor("scene.linear_momentum")[0] == pytest.approx([MASS, 0, 0], abs=1e-13)
     assert model.sensor("scene.kinetic_energy")[0] == pytest.approx(0.5 * MASS, rel=1e-4)
-    # Most of it goes to the last: with linear springs the others follow slowly.
+    # Most of the momentum goes to the last sphere. With linear springs the others follow slowly.
     assert model.sensor("ball.linear_velocity")[0, -1, 0] > 0.9
 
 
 def cloud(capsules, count=120, seed=5):
-    """Returns positions, orientations, forms and sizes of a random cloud with radii 1:5."""
+    """Returns positions, orientations, shapes and sizes of a random cloud with radii 1:5."""
     rng = np.random.default_rng(seed)
     radii = 0.03 * 5 ** rng.uniform(0, 1, count)
     half = np.where(np.arange(count) % 2 == 0, 2.0 * radii, 0.5 * radii) if capsules else np.zeros(count)
@@ -117,7 +117,7 @@ def cloud(capsules, count=120, seed=5):
 
 
 def segments_apart(c, g, d, h):
-    """Returns the distance of segments c ± g and d ± h: of the lines if they are nearest inside, or at an end."""
+    """Returns the distance of segments c ± g and d ± h: from interior points or end points."""
 
     def to_end(p, middle, half):
         length = half @ half
@@ -132,7 +132,7 @@ def segments_apart(c, g, d, h):
 
 
 def gaps_of(positions, axes, radii):
-    """Returns the gaps of all pairs by a search over the segments."""
+    """Returns the gaps of all pairs by brute force over the segments."""
     return {
         (i, j): segments_apart(positions[i], axes[i], positions[j], axes[j]) - radii[i] - radii[j]
         for i, j in itertools.combinations(range(len(radii)), 2)
@@ -142,7 +142,7 @@ def gaps_of(positions, axes, radii):
 @pytest.mark.parametrize("capsules", [False, True])
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 def test_particle_pairs_match_brute_force(device, capsules, precision):
-    """A cloud of radii 1:5 that moves through itself: the pairs, gaps and points are those of brute force."""
+    """A cloud of radii 1:5 moves through itself; its pairs, gaps and points match brute force."""
     positions, turns, forms, radii, half = cloud(capsules)
     scene = wc.Scene(gravity=(0, 0, 0))
     rng = np.random.default_rng(1)
@@ -156,7 +156,7 @@ def test_particle_pairs_match_brute_force(device, capsules, precision):
     scene.add_particle_contact(shape, soft, name="pile", skin=0.02, max_neighbors=len(radii) - 1)
     model = scene.build(device=device, precision=precision)
     sim = wc.Simulation(model, dt=1e-3)
-    # A float32 tells places a hundred metres away to 4 µm at best once; remainders keep differences finer.
+    # At 100 m a single float32 resolves 4 µm; rounding remainders make differences more accurate.
     within = 2e-6 if precision == "float32" else 1e-12
     for _ in range(3):
         sim.step(40)
@@ -177,7 +177,7 @@ def test_particle_pairs_match_brute_force(device, capsules, precision):
 
 
 def test_parallel_capsules_contact_at_the_middle_of_their_overlap(device):
-    """Side by side the closest points are many; the force acts in their middle, and does not turn them."""
+    """Parallel capsules have many closest points; the force acts in their middle and causes no rotation."""
     form = wc.shapes.Capsule(RADIUS, 0.3)
     scene = spheres([[0, 0, 0], [1.9 * RADIUS, 0, 0.2]], [[0, 0, 0]] * 2, form=form)
     model = scene.build(device=device, precision="float64")
@@ -185,14 +185,14 @@ def test_parallel_capsules_contact_at_the_middle_of_their_overlap(device):
     np.testing.assert_allclose(touch["point"][0], [0.95 * RADIUS, 0, 0.1], atol=1e-15)
     np.testing.assert_allclose(touch["normal"][0], [-1, 0, 0], atol=1e-15)
     np.testing.assert_allclose(touch["gap"], [-0.1 * RADIUS], rtol=1e-12)
-    # End to end they overlap nowhere; their caps meet.
+    # End to end, the axes do not overlap; the caps are in contact.
     ends = spheres([[0, 0, 0], [0, 0, 0.6 + 1.9 * RADIUS]], [[0, 0, 0]] * 2, form=form)
     touch = ends.build(device=device, precision="float64").contact_pairs("pile")
     np.testing.assert_allclose(touch["point"][0], [0, 0, 0.3 + 0.95 * RADIUS], atol=1e-15)
 
 
 def test_kappa_places_the_contact_point_between_the_surfaces(device):
-    """K goes from the surface of the second shape to that of the first."""
+    """K moves from the surface of the second shape to that of the first."""
     scene = spheres([[0, 0, 0], [1.9 * RADIUS, 0, 0]], [[0, 0, 0]] * 2, kappa=0.0)
     model = scene.build(envs=3, device=device, precision="float64")
     model["pile.kappa"] = [0.0, 0.5, 1.0]
@@ -202,7 +202,7 @@ def test_kappa_places_the_contact_point_between_the_surfaces(device):
 
 
 def test_shapes_of_one_body_contact_other_bodies_only(device):
-    """Several shapes of a body act on it together and never on each other."""
+    """Shapes of one body contact other bodies together, but never each other."""
     scene = wc.Scene(gravity=(0, 0, 0))
     pin = scene.add_body(MASS, INERTIA, name="pin")
     rod = scene.add_shape(pin, wc.shapes.Capsule(RADIUS, 0.5), name="rod")
@@ -223,7 +223,7 @@ def test_shapes_of_one_body_contact_other_bodies_only(device):
 
 
 def test_groups_masks_and_exclusions_prevent_particle_contact(device):
-    """Two shapes touch if each is in a group that the other's mask has, and they are not excluded."""
+    """Shapes contact if the group of each is in the other's mask, and the pair is not excluded."""
     scene = wc.Scene(gravity=(0, 0, 0))
     groups = [(1, 0xFFFFFFFF), (2, 1), (2, 1), (4, 4), (1, 0xFFFFFFFF)]
     shapes = []
@@ -237,7 +237,7 @@ def test_groups_masks_and_exclusions_prevent_particle_contact(device):
 
 
 def test_particle_radii_can_vary_by_environment(device):
-    """A larger radius touches, in its environment alone."""
+    """A larger radius gives contact in its environment only."""
     scene = spheres([[0, 0, 0], [2.1 * RADIUS, 0, 0]], [[0, 0, 0]] * 2)
     model = scene.build(envs=2, device=device, precision="float64")
     model["shape.radius"] = [[RADIUS, RADIUS], [RADIUS, 1.2 * RADIUS]]
@@ -248,7 +248,7 @@ def test_particle_radii_can_vary_by_environment(device):
 
 
 def test_invalid_particle_contact_is_refused(device):
-    """Each error names the entry, what was given and what is allowed."""
+    """Each error names the entry, the value and the condition."""
     scene = wc.Scene()
     body = scene.add_body(MASS, INERTIA, name="body")
     other = scene.add_body(MASS, INERTIA, name="other")

@@ -1,4 +1,4 @@
-"""Laws that follow from curvature are given that of spheres, of sides of capsules and of their caps."""
+"""Laws that use curvature get the curvatures of spheres, and of cylinders and caps of capsules."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from warpcontact.kernels.laws.elliptic import LONGEST
 
 import warpcontact as wc
 
-MODULUS, DEPTH = 1e7, 2.0**-10  # a depth that is exact in both precisions
+MODULUS, DEPTH = 1e7, 2.0**-10  # a penetration that is exact in both precisions
 HALF = 0.5
 R, S = 0.125, 0.0625
 X, Z = np.eye(3)[[0, 2]]
@@ -29,8 +29,8 @@ def capsule(radius):
     return wc.shapes.Capsule(radius, HALF)
 
 
-# Two forms with their orientations, the way from the second to the first, the distance of their middles, and the
-# relative curvatures.
+# Two shapes with their orientations, the direction from the second to the first, the distance of their centers,
+# and the relative curvatures.
 ALONG = turned(0.0)
 PAIRS = {
     "two spheres": (wc.shapes.Sphere(R), ALONG, wc.shapes.Sphere(S), ALONG, Z, R + S, (24.0, 24.0)),
@@ -46,10 +46,11 @@ PAIRS = {
 }
 
 
-# Of float32: curvatures to a few roundings, forces to those of elliptic integrals and of a depth of 1e-3.
+# In float32, curvatures are accurate to a few roundings, and forces to those of elliptic integrals and of a
+# penetration of 1e-3.
 @pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-9), ("float32", 1e-4)])
 def test_hertz_force_of_particles_uses_curvatures_of_the_pair(precision, tolerance, device):
-    """Forces are those of the closed form, for all pairs of one pile and in every environment."""
+    """Forces match the closed form for all pairs of one particle contact, in every environment."""
     scene = wc.Scene(gravity=(0, 0, 0))
     shapes = []
     for number, (form, turn, other, other_turn, way, distance, _) in enumerate(PAIRS.values()):
@@ -61,7 +62,7 @@ def test_hertz_force_of_particles_uses_curvatures_of_the_pair(precision, toleran
     scene.add_particle_contact(shapes, wc.ContactMaterial(law=law), name="pile")
     model = scene.build(2, device, precision)
     model["pile.law.modulus"] = [MODULUS, 3 * MODULUS]
-    # A larger sphere in the second environment alone, as much farther away.
+    # A larger sphere in the second environment only, at a larger distance.
     model["shape_0.radius"] = [R, 2 * R]
     model["body_0.position"] = [[0, 0, R + S - DEPTH], [0, 0, 2 * R + S - DEPTH]]
     found = model.contact_pairs("pile")
@@ -80,7 +81,7 @@ def test_hertz_force_of_particles_uses_curvatures_of_the_pair(precision, toleran
 
 
 def test_hertz_force_of_spheres_uses_both_radii(device):
-    """A pile without capsules, of more shapes than are tested all with all."""
+    """Spheres only, more than the limit for lists of all pairs."""
     count = 40
     places = np.zeros((count, 3))
     places[:, 0] = np.arange(count)
@@ -110,7 +111,7 @@ TWO = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TWO)
 def test_particle_impact_matches_shape_contact(name, device):
-    """Oblique and spinning: capsules that cross, and spheres that roll and twist as well."""
+    """Oblique and spinning: crossed capsules, and spheres that also roll and spin."""
     forms, friction_models = TWO[name]
     law = wc.laws.HertzElastic(modulus=1e7, restitution=0.6)
     material = wc.ContactMaterial(law=law, friction=FRICTION, **friction_models)
@@ -137,5 +138,5 @@ def test_particle_impact_matches_shape_contact(name, device):
             [model.sensor(f"body_{i}.{key}") for i in range(2) for key in ("linear_velocity", "angular_velocity")]
         )
     for of_smooth, of_pile in zip(*ends, strict=True):
-        # The same numbers through the same formulas, from places that are found in another way.
+        # The same values in the same formulas, from contact points that are computed differently.
         np.testing.assert_allclose(of_pile, of_smooth, rtol=0, atol=1e-11)

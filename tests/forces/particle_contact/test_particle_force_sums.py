@@ -1,4 +1,4 @@
-"""Touches of a pile are added up alike, whoever adds them."""
+"""Contact forces of particles have the same sum for each way of summation."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,9 @@ FRICTION = wc.friction.Tanh(mu=0.4, velocity_scale=0.1)
 
 @pytest.mark.parametrize("several", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_particle_forces_summed_by_body_match_sequential_sums(several):
-    """A GPU, where threads share an environment, sums touches of a body; a thread of a CPU adds each at once."""
+    """A GPU, where threads share an environment, sums per body in a kernel; a CPU thread adds each force
+    immediately.
+    """
     positions, turns, forms, _, _ = cloud(capsules=True)
     scene = wc.Scene(gravity=(0, 0, 0))
     velocities = np.random.default_rng(2).normal(size=positions.shape)
@@ -29,15 +31,15 @@ def test_particle_forces_summed_by_body_match_sequential_sums(several):
         if not alone:
             sum_by_body(model.particle_contact_sets[0])
         forces.append([model.sensor(f"ball.{name}") for name in ("force", "torque")])
-    assert not np.array_equal(forces[0][1], forces[1][1])  # rounded otherwise: the other way was taken
+    assert not np.array_equal(forces[0][1], forces[1][1])  # rounding differs: the other summation was used
     for at_once, summed in zip(*forces, strict=True):
         assert (np.linalg.norm(at_once, axis=-1) > 0).mean() > 0.9
-        # The same numbers in another order.
+        # The same terms in another order.
         np.testing.assert_allclose(summed, at_once, rtol=0, atol=1e-13 * np.abs(at_once).max())
 
 
 def heap():
-    """Returns spheres of several sizes on a floor, any of which may touch any, and one body alone."""
+    """Returns spheres of several sizes on a floor, all in particle contact, and a separate body."""
     rng = np.random.default_rng(3)
     scene = wc.Scene()
     floor = scene.add_surface(wc.meshes.box((1.0, 1.0, 0.2)), position=(0, 0, -0.1))
@@ -54,7 +56,7 @@ def heap():
 
 @pytest.mark.parametrize("watched", [False, True])
 def test_particle_sums_in_integrator_are_bitwise_identical_to_wrench_sums(monkeypatch, watched):
-    """The same bits as of a launch that adds them to wrenches before, watched or not."""
+    """Bitwise equal to a separate launch that adds forces to wrenches, with and without monitors."""
     ends = []
     for by_body in (True, False):
         model = heap().build(3, "cpu", "float64")

@@ -1,4 +1,4 @@
-"""Lists of partners change no result: not how often they are made, nor slices, threads or looks between."""
+"""Neighbor lists do not change results, for any skin, slices, threads and evaluations in between."""
 
 import warnings
 
@@ -9,7 +9,7 @@ import warpcontact as wc
 from warpcontact.forces.particle_contact import contact_set
 
 COUNT = 60
-#: Remembers: a spring in the tangent plane, and the speed at which a contact began.
+# Material with history: a tangential spring, and the impact speed.
 MATERIAL = wc.ContactMaterial(
     law=wc.laws.LankaraniNikravesh(stiffness=2e5, exponent=1.5, restitution=0.6),
     friction=wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=5e3, damping=1.0),
@@ -30,7 +30,7 @@ def scene(skin=0.02, **options):
 
 
 def bits(model):
-    """Returns the state of all bodies."""
+    """Returns the bytes of the state of all bodies."""
     state = model.state
     arrays = (state.body_position, state.body_orientation, state.body_linear_velocity, state.body_angular_velocity)
     return np.concatenate([array.numpy() for array in arrays], axis=-1)
@@ -41,7 +41,7 @@ STEPS, DT = 1000, 2e-4
 
 @pytest.fixture(scope="module", params=["float32", "float64"])
 def run(request, device):
-    """A model after its steps, with the states at the end."""
+    """A model after its steps, with the final states."""
     model = scene().build(envs=3, device=device, precision=request.param)
     # Environments differ.
     velocity = model["ball.linear_velocity"]
@@ -53,7 +53,7 @@ def run(request, device):
 
 
 def again(run, made, device, **options):
-    """Returns the states at the end of the same run of another scene, and its model."""
+    """Returns the final states of the same run of another scene, and its model."""
     model = made.build(envs=3, device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
     wc.Simulation(model, dt=DT, deterministic=True, **options).step(STEPS)
@@ -61,7 +61,7 @@ def again(run, made, device, **options):
 
 
 def test_results_are_bitwise_identical_for_any_skin(run, device):
-    """A wide skin keeps lists long, a narrow one makes them anew: what is remembered goes with the pairs."""
+    """A wide skin rebuilds lists rarely, a narrow one often; contact history is transferred with the pairs."""
     end, wide = again(run, scene(skin=0.15), device)
     np.testing.assert_array_equal(end, run[1])
     often, seldom = (
@@ -71,7 +71,7 @@ def test_results_are_bitwise_identical_for_any_skin(run, device):
 
 
 def test_neighbor_lists_of_all_pairs_give_bitwise_identical_results(run, device, monkeypatch):
-    """Few shapes have lists of all pairs that are never made anew."""
+    """A few shapes use lists of all pairs, which are never rebuilt."""
     monkeypatch.setattr(contact_set, "ALL_PAIRS_LIMIT", COUNT)
     end, model = again(run, scene(), device)
     assert model.particle_contact_sets[0].all_pairs
@@ -79,18 +79,18 @@ def test_neighbor_lists_of_all_pairs_give_bitwise_identical_results(run, device,
 
 
 def test_neighbor_lists_of_offset_capsules_give_bitwise_identical_results(device, monkeypatch):
-    """Shapes that turn with their bodies, two on each: any skin, lists of all pairs, and far from the origin."""
+    """Two shapes per body, offset and rotating: any skin, lists of all pairs, and far from the origin."""
     rng = np.random.default_rng(8)
     positions = rng.uniform(-0.4, 0.4, (30, 3))
     turns = rng.normal(size=(30, 4))
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     spin = 10 * rng.normal(size=(30, 3))
-    far = np.array([2.0**22, -(2.0**21), 0.0])  # to where a single float32 has steps of half a metre
+    far = np.array([2.0**22, -(2.0**21), 0.0])  # where a single float32 resolves half a meter
     ends, models = [], []
     for skin, few, centre in ((0.01, 32, 0.0), (0.1, 32, 0.0), (0.1, 60, 0.0), (0.01, 32, far)):
         monkeypatch.setattr(contact_set, "ALL_PAIRS_LIMIT", few)
         made = wc.Scene(gravity=(0, 0, 0))
-        # Places that a remainder of 24 bits holds beside the centre, so that all start alike.
+        # Multiples of 2^-20 m are exact next to the center with a 24-bit remainder, so all runs start alike.
         places = np.round(positions * 2.0**20) / 2.0**20
         rods = made.add_bodies(places + centre, 1.0, [0.01, 0.02, 0.025], turns, -2 * positions, spin, name="rod")
         shapes = [
@@ -109,19 +109,19 @@ def test_neighbor_lists_of_offset_capsules_give_bitwise_identical_results(device
     assert models[2].particle_contact_sets[0].all_pairs
     for end in ends[1:3]:
         np.testing.assert_array_equal(end, ends[0])
-    # Places are as fine there, and rounded otherwise.
+    # Positions have the same resolution there, but are rounded differently.
     np.testing.assert_allclose(ends[3], ends[0], atol=1e-2)
 
 
 def test_particle_results_are_bitwise_identical_for_any_slices_and_threads(run, device, monkeypatch):
-    """One environment a slice, on one thread, and without graphs."""
+    """Slices of one environment, one thread, and no graphs."""
     monkeypatch.setattr("warpcontact.stepping.requirements.MAX_SLICE", 1)
     end, _ = again(run, scene(), device, threads=1, capture_graphs=False)
     np.testing.assert_array_equal(end, run[1])
 
 
 def test_particle_environment_alone_is_bitwise_identical(run, device):
-    """Others beside it change nothing."""
+    """Results do not depend on other environments."""
     model = scene().build(device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"][1:2]
     wc.Simulation(model, dt=DT, deterministic=True).step(STEPS)
@@ -129,7 +129,7 @@ def test_particle_environment_alone_is_bitwise_identical(run, device):
 
 
 def test_evaluation_of_another_state_keeps_particle_history(run, device):
-    """Forces of a state that is only tried, far from that of the lists, leave the history as it was."""
+    """Evaluating another state, far from that of the lists, does not change the history."""
     model = scene().build(envs=3, device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
     sim = wc.Simulation(model, dt=DT, deterministic=True)
@@ -145,7 +145,7 @@ def test_evaluation_of_another_state_keeps_particle_history(run, device):
 
 
 def test_reset_restores_initial_particle_state(run, device):
-    """An environment that is reset runs as it did; the others go on."""
+    """A reset environment repeats its run; the others continue."""
     model = scene().build(envs=3, device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
     sim = wc.Simulation(model, dt=DT, deterministic=True)
@@ -159,7 +159,7 @@ def test_reset_restores_initial_particle_state(run, device):
 
 
 def test_particle_results_split_over_devices_are_bitwise_identical(run, device):
-    """Parts of a model have their environments' piles, and are read as one."""
+    """Each part of a model has the particle contacts of its environments; sensors combine them."""
     model = scene().build(envs=3, device=[device, device], precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
     wc.Simulation(model, dt=DT, deterministic=True).step(STEPS)
@@ -168,10 +168,10 @@ def test_particle_results_split_over_devices_are_bitwise_identical(run, device):
 
 
 def test_particle_contact_conserves_momentum(run):
-    """Forces and couples are opposite at one point: linear and angular momentum stay."""
+    """Forces and torques are opposite at one point, so linear and angular momentum are conserved."""
     model = run[0]
     mass, inertia = 0.5, 0.002
-    # Velocities are rounded at every step in the precision of the model.
+    # Velocities are rounded in every step to the precision of the model.
     within = 2e-4 if model.precision == "float32" else 1e-11
     velocity, spin = model["ball.linear_velocity"], model["ball.angular_velocity"]
     linear = mass * velocity.sum(axis=1)
@@ -183,7 +183,7 @@ def test_particle_contact_conserves_momentum(run):
 
 
 def test_failed_particle_environment_is_frozen_and_others_continue(run, device):
-    """A state that turns non-finite stops its environment alone."""
+    """A state that becomes non-finite freezes its environment only."""
     model = scene().build(envs=3, device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
     velocity = model.state.body_linear_velocity
@@ -196,7 +196,7 @@ def test_failed_particle_environment_is_frozen_and_others_continue(run, device):
 
 
 def test_neighbor_list_overflow_raises(device):
-    """Partners that do not fit are missed by no one: the next look says so, and what helps."""
+    """Neighbors beyond the capacity are not dropped silently: the next check raises an error with a remedy."""
     model = scene(skin=0.15, max_neighbors=2).build(device=device)
     with pytest.raises(
         RuntimeError, match=r"pile: a particle had \d+ neighbors more.*Increase max_neighbors.*reduce skin"
@@ -207,7 +207,7 @@ def test_neighbor_list_overflow_raises(device):
 
 
 def test_radii_beyond_neighbor_capacity_are_refused(device):
-    """Room for partners is made for the radii of the scene; others that need more are an error, and not taken."""
+    """The capacity follows from the radii of the scene; radii that need more are rejected."""
     model = scene(max_neighbors=None).build(device=device)
     radii = model["shape.radius"]
     smaller = radii.copy()
@@ -218,7 +218,7 @@ def test_radii_beyond_neighbor_capacity_are_refused(device):
 
 
 def test_particle_results_with_substeps_are_bitwise_identical_for_any_skin(device):
-    """A step that a swept point crosses a surface in is tried first: lists made for it change nothing."""
+    """A step in which a swept point crosses a surface is first tried as a whole; its lists do not change results."""
     places = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), axis=-1).reshape(-1, 3) * 0.045 + [0, 0, 0.1]
     fast = np.arange(64)[:, None] % 3 == 0
     ends = []

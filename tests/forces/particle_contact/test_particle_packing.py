@@ -1,4 +1,4 @@
-"""Spheres settle to the density that random packings are known to have; a hopper flows at a known rate."""
+"""Spheres settle to the published density of random packings; a hopper flows at the published rate."""
 
 import importlib.util
 import sys
@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def load(folder, name):
-    """Returns a script as a module, with what lies beside it."""
+    """Returns a script as a module, with its folder on the import path."""
     sys.path.insert(0, str(ROOT / folder))
     try:
         spec = importlib.util.spec_from_file_location(f"{folder}_{name}", ROOT / folder / f"{name}.py")
@@ -24,14 +24,15 @@ def load(folder, name):
 
 
 def check_packing(result):
-    """Between random loose and random close packing, at rest, on as many contacts as friction needs."""
+    """Checks for random loose to close packing, at rest, with the coordination number that friction needs."""
     # Scott, Nature 188 (1960) 908: 0.60 to 0.64; with much friction down to 0.55, Onoda & Liniger 1990.
     assert 0.59 < result["fraction"] < 0.64
     energy = np.array(result["kinetic_energy"])
-    # It rises while they fall.
+    # Kinetic energy increases while they fall.
     assert energy[-1] < 1e-2 * energy.max()
     assert (np.diff(energy[len(energy) // 2 :]) < 0.05 * energy.max()).all()
-    # A sphere with friction needs at least 4, without 6; at walls and at the top there are fewer.
+    # A sphere with friction needs at least 4 contacts, without friction 6; at walls and at the top there are
+    # fewer.
     assert 4.0 < result["coordination"] < 6.5
     # Soft by LAYER_STIFFNESS, in weights per diameter and layer.
     assert result["max_penetration_in_diameters"] < 0.05
@@ -53,7 +54,7 @@ def test_many_spheres_settle_to_random_packing_density(device):
 
 @pytest.mark.slow
 def test_hopper_flow_rate_matches_beverloo(device, capsys):
-    """In the mean of four fillings: of 400 spheres that leave one, the rate scatters by 6 % (nine fillings)."""
+    """Mean of four fillings: with 400 outflowing spheres, the rate scatters by 6 % (nine fillings)."""
     found = []
     for spheres in (1500, 1510, 1520, 1530):
         options = ["--spheres", str(spheres), "--orifice", "4.5", "--part", "0.25", "--device", device]
@@ -61,7 +62,7 @@ def test_hopper_flow_rate_matches_beverloo(device, capsys):
         assert "flow rate" in capsys.readouterr().out
         assert result["health"].good
         found.append(result["C"])
-    # Beverloo's C of spheres is 0.55 to 0.65; an orifice this narrow and a filling this low leave more room.
+    # Beverloo's C of spheres is 0.55 to 0.65; the bounds are wider for this narrow orifice and low filling.
     assert 0.5 < np.mean(found) < 0.7
 
 
