@@ -1,22 +1,22 @@
-"""Random contact problems w = W l + q that have a solution, and the law that a solution has to keep."""
+"""Random solvable contact problems w = W l + q, and the violation of the contact law by a solution."""
 
 import numpy as np
 
 
 def problems(seed, count, contacts, dim, freedoms=1.5, mu=2.0, shared=1):
-    """Returns W, q and μ of many problems; of ``shared`` of them each W is the same.
+    """Returns W, q and μ of many problems; groups of ``shared`` problems have the same W.
 
-    As of contacts of a mechanism W = H Hᵀ and q = g + H v. The gaps g at v = 0 are open: at rest nothing presses,
-    so there is a solution whatever the friction (Acary and others, 2011).
+    As for contacts of a mechanism, W = H Hᵀ and q = g + H v. The gaps g at v = 0 are open, so a solution exists
+    for any friction (Acary and others, 2011).
 
     Args:
-        seed: Of the random numbers.
+        seed: Seed of the random numbers.
         count: Number of problems.
-        contacts: Of each.
-        dim: Rows of a contact.
-        freedoms: Over the rows: below 1 forces may be shared in different ways.
+        contacts: Number of contacts of each problem.
+        dim: Rows per contact.
+        freedoms: Degrees of freedom over rows; below 1, the distribution of forces is not unique.
         mu: Largest coefficient of friction.
-        shared: Problems with the same W.
+        shared: Number of problems with the same W.
     """
     random = np.random.default_rng(seed)
     rows = contacts * dim
@@ -29,9 +29,9 @@ def problems(seed, count, contacts, dim, freedoms=1.5, mu=2.0, shared=1):
 
 
 def violation(W, q, mu, lam):
-    """Returns by how much each solution breaks the law of contact with friction, as a part of its velocities.
+    """Returns the violation of the contact law by each solution, relative to its velocities.
 
-    Written without projections: signs, complementarity, the cone, and friction against slip.
+    Computed without projections: signs, complementarity, the cone, and friction opposed to slip.
     """
     count, contacts, dim = q.shape
     w = (W @ lam.reshape(count, -1, 1)).reshape(q.shape) + q
@@ -43,7 +43,7 @@ def violation(W, q, mu, lam):
         -w[..., 0],
         np.minimum(press, w[..., 0]),
         across - mu * press,
-        # Either at the limit or without slip; opposed.
+        # Friction is at the limit or slip is zero, and friction opposes slip.
         np.minimum(mu * press - across, slip),
         (slip * across + (w[..., 1:] * push).sum(axis=-1)) / np.maximum(slip + across, 1e-300),
     ]

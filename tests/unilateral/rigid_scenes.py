@@ -1,4 +1,4 @@
-"""Small scenes of rigid bodies in contact, that several tests use."""
+"""Small scenes of rigid bodies in contact, shared by several tests."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ G = 9.81
 
 
 def rigid(mu=0.0, restitution=0.0):
-    """A material of nonsmooth contact; always with friction, so that all scenes share their kernels."""
+    """A material of nonsmooth contact, always with friction, so that all scenes share kernels."""
     return wc.ContactMaterial(law=wc.laws.Rigid(restitution=restitution), friction=wc.friction.Coulomb(mu=mu))
 
 
@@ -22,7 +22,9 @@ def turned_about_y(angle):
 
 
 def block(push=0.0, height=1.0, mu=0.5, slope=0.0, velocity=0.0, restitution=0.0, lift=0.0):
-    """The block of 10 kg, 1 m wide and 2 m high, on its corners, pushed along x at a height; on a slope down x."""
+    """A block of 10 kg, 1 m wide and 2 m high, on four vertices, pushed along x at a height; the slope descends
+    along x.
+    """
     size = np.array([1.0, 1.0, 2.0])
     q = turned_about_y(slope)
     along, out = np.array([np.cos(slope), 0.0, -np.sin(slope)]), np.array([np.sin(slope), 0.0, np.cos(slope)])
@@ -61,7 +63,7 @@ def ball(height=1.0, restitution=0.8, mu=0.0, velocity=(0.0, 0.0, 0.0), spin=(0.
 
 
 def ladder(mu, angle, length=4.0):
-    """A ladder at an angle to the ground, with friction there, against a smooth wall."""
+    """A ladder at an angle to the ground, with friction there, against a frictionless wall."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     mesh = wc.meshes.grid((20.0, 20.0), (1, 1))
     ground = scene.add_surface(mesh, name="ground")
@@ -81,7 +83,7 @@ def ladder(mu, angle, length=4.0):
 
 
 def three_balls(mu_between, mu_ground, spacing=2.1):
-    """A ball of radius 1 on two others, which lie apart; and the sine of the slope of the line between them."""
+    """A ball of radius 1 on two others that are apart; returns also the sine of the slope of the line of centers."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(wc.meshes.grid((40.0, 40.0), (1, 1)), name="ground")
     top = 1.0 + np.sqrt(4.0 - 0.25 * spacing**2)

@@ -1,4 +1,4 @@
-"""Event-driven motion against closed forms: impact times, Zeno points, stick and slip, lift-off, paradoxes."""
+"""Event-driven integration against closed forms: impact times, Zeno points, stick and slip, lift-off, paradoxes."""
 
 import json
 import math
@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 import warpcontact as wc
 from warpcontact.unilateral import EventDriven, EventKind, ParadoxError
 
-# Times are roots to rounding, positions integrated to 1e-12 a step.
+# Event times are roots to rounding; positions are integrated to 1e-12 per step.
 EXACT = 1.0e-10
 
 
@@ -36,7 +36,7 @@ def test_event_driven_ball_bounces_at_closed_form_times_until_its_zeno_point():
     after = run.times > rest.time
     np.testing.assert_allclose(body_of(run, "ball")[after], [[0.0, 0.0, 0.1]] * after.sum(), atol=1e-15)
     assert (body_of(run, "ball", "linear_velocity")[after] == 0.0).all()
-    # Never below the ground by more than a rounding of its height.
+    # Penetration is at most one rounding of the height.
     assert body_of(run, "ball")[:, 2].min() > 0.1 - 1e-15
 
 
@@ -47,7 +47,7 @@ def test_event_driven_ball_and_sliding_match_reference(shared):
     impacts = run.events_of("IMPACT")[:5]
     np.testing.assert_allclose([one.time for one in impacts], given["impact_times"], rtol=1e-12)
     np.testing.assert_allclose([one.approach_speed for one in impacts], given["pre_speed"], rtol=1e-12)
-    # Energy at the first state after each impact gives the height that it comes to.
+    # The energy of the first state after each impact gives the next apex height.
     for one, apex in zip(impacts, given["apex"][1:], strict=False):
         after = run.states[int(np.flatnonzero(run.times == one.time)[-1])]
         height = after.position[0, 2] - 0.1 + after.linear_velocity[0, 2] ** 2 / (2.0 * G)
@@ -70,11 +70,11 @@ def test_event_driven_reports_an_impact_at_the_start():
         assert (hit.kind, hit.time, hit.approach_speed) == (EventKind.IMPACT, 0.0, 1.0)
         assert hit.separation_speed == pytest.approx(0.8, rel=1e-14)
         np.testing.assert_array_equal(body_of(run, "ball", "linear_velocity")[0], (0.0, 0.0, -1.0))
-    # At the start of all steps there is a state on both sides of it.
+    # An impact at the start has a state before and a state after it.
     run = EventDriven(ball(height=0.0, restitution=0.8, velocity=(0.0, 0.0, -1.0))).run(0.05)
     assert run.times[:2].tolist() == [0.0, 0.0]
     assert body_of(run, "ball", "linear_velocity")[1, 2] == pytest.approx(0.8, rel=1e-14)
-    # What is closed and stays so is no event.
+    # A contact that remains closed is not an event.
     assert not EventDriven(ball(height=0.0, mu=0.3)).run(0.1).events
 
 
@@ -112,7 +112,7 @@ def test_event_driven_block_on_slope_slides_or_sticks():
     sticks = EventDriven(block(mu=0.4, slope=slope)).run(0.5)
     assert not sticks.events
     np.testing.assert_allclose(body_of(sticks, "box")[-1], body_of(sticks, "box")[0], atol=1e-14)
-    # Thrown up the slope it comes back, or not.
+    # A block thrown up the slope slides back, or stays.
     up = EventDriven(block(mu=0.3, slope=slope, velocity=-1.0)).run(0.5)
     turn = 1.0 / (G * (math.sin(slope) + 0.3 * math.cos(slope)))
     back = up.events_of("SLIP")
@@ -133,7 +133,7 @@ def test_event_driven_sliding_ball_rolls_at_five_sevenths_of_its_speed():
 
 
 def test_event_driven_backspin_reverses_a_ball():
-    # v − ω R = 2 + 5: with v₀ = 2, ω R = −5 the ball ends at (5 · 2 − 2 · 5)/7 = 0, and with −6 it comes back.
+    # v − ω R = 2 + 5: with v₀ = 2, ω R = −5 the ball ends at (5 · 2 − 2 · 5)/7 = 0; with −6 it returns.
     run = EventDriven(ball(height=0.0, mu=0.2, velocity=(2.0, 0.0, 0.0), spin=(0.0, -60.0, 0.0))).run(1.2)
     np.testing.assert_allclose(
         body_of(run, "ball", "linear_velocity")[-1, 0], (5.0 * 2.0 - 2.0 * 6.0) / 7.0, atol=EXACT
@@ -147,7 +147,7 @@ def test_event_driven_block_tips_about_its_edge():
     inertia = box_inertia(10.0, (1.0, 1.0, 2.0))[1]
 
     def slopes(_, y):
-        # About the edge: the force acts at the centre, with the couple of where it is pushed.
+        # Rotation about the edge: the force acts at the center, with the torque of the point of application.
         x, z = -0.5 * math.cos(y[0]) + math.sin(y[0]), 0.5 * math.sin(y[0]) + math.cos(y[0])
         moment = push * z + push * (height - 1.0) + 10.0 * G * x
         return [y[1], moment / (inertia + 10.0 * 1.25)]
@@ -156,7 +156,7 @@ def test_event_driven_block_tips_about_its_edge():
     _, qy, _, qw = body_of(run, "box", "orientation")[-1]
     assert 2.0 * math.atan2(qy, qw) == pytest.approx(expected[0], abs=EXACT)
     assert body_of(run, "box", "angular_velocity")[-1, 1] == pytest.approx(expected[1], abs=EXACT)
-    # The feet of the edge hold from the start to the end, the others part at once: nothing happens.
+    # The points of the edge stick from start to end, the others separate immediately: there are no events.
     assert not run.events
 
 
@@ -182,7 +182,7 @@ def test_event_driven_bead_leaves_sphere_at_zero_normal_force():
 
 
 def pendulum(restitution):
-    """A bar of 2 kg and 1 m on a hinge, that swings against a wall where it hangs straight down."""
+    """A bar of 2 kg and 1 m on a revolute joint, which hits a wall when it hangs straight down."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     wall = scene.add_surface(
         wc.meshes.grid((40.0, 40.0), (1, 1)), orientation=turned_about_y(0.5 * math.pi), name="wall"
@@ -206,11 +206,11 @@ def test_event_driven_pendulum_rebounds_from_a_stop():
     run = EventDriven(model).run(1.6, every=0.01)
     inertia = box_inertia(2.0, (0.02, 0.02, 1.0))[1] + 2.0 * 0.25
     first, second = run.events_of("IMPACT")[:2]
-    # Energy: ½ I ω² = m g l (1 − cos θ₀); the end moves with ω · 1 m.
+    # Energy: ½ I ω² = m g l (1 − cos θ₀); the speed of the end is ω · 1 m.
     speed = math.sqrt(2.0 * 2.0 * G * 0.5 * (1.0 - math.cos(start)) / inertia)
     assert first.approach_speed == pytest.approx(speed, abs=EXACT)
     assert first.separation_speed == pytest.approx(0.5 * speed, abs=EXACT)
-    # The hinge takes a part: the impulse at the end is I Δω.
+    # The joint has a share of the impulse: the impulse at the end is I Δω.
     np.testing.assert_allclose(first.impulse, (inertia * 1.5 * speed, 0.0, 0.0), atol=EXACT)
     assert second.approach_speed == pytest.approx(0.5 * speed, abs=EXACT)
 
@@ -238,8 +238,8 @@ def test_event_driven_block_leaves_shaken_table_at_closed_form_time():
     scene.add_contact(scene.add_point(brick, (0, 0, -0.1)), top, rigid(0.0), name="touch")
     run = EventDriven(scene.build(device="cpu", precision="float64")).run(0.07)
     rate = 2.0 * math.pi * frequency
-    # The table falls with g at sin ωt = g/(a ω²). Its velocities and accelerations are differences in time, of
-    # 1e-6 s and 2e-5 s: 1e-10 and 1e-6 of their size are rounding.
+    # The table accelerates downwards with g at sin ωt = g/(a ω²). Its velocities and accelerations are differences
+    # over 1e-6 s and 2e-5 s, with relative rounding of 1e-10 and 1e-6.
     leaves = math.asin(G / (amplitude * rate**2)) / rate
     assert run.events_of("LIFT_OFF")[0].time == pytest.approx(leaves, abs=1e-6)
 
@@ -255,11 +255,12 @@ def test_event_driven_brick_slides_on_horizontally_shaken_table():
     )
     scene.add_contact(scene.add_point(brick, (0, 0, -0.1)), top, rigid(mu), name="touch")
     run = EventDriven(scene.build(device="cpu", precision="float64")).run(0.3)
-    # The table starts with a ω; friction drives the brick with μ g until both are as fast, and then brakes it.
+    # The table starts with a ω. Friction accelerates the brick with μ g until both speeds are equal, then
+    # decelerates it.
     turns = brentq(lambda t: mu * G * t - amplitude * rate * math.cos(rate * t), 0.0, 0.25)
     speed = mu * G * (2.0 * turns - 0.3)
     displacement = 0.5 * mu * G * turns**2 + mu * G * turns * (0.3 - turns) - 0.5 * mu * G * (0.3 - turns) ** 2
-    # Its accelerations are differences in time, of 1e-6.
+    # Accelerations of the table are differences in time, accurate to 1e-6.
     assert body_of(run, "brick", "linear_velocity")[-1, 0] == pytest.approx(speed, abs=1e-6)
     assert body_of(run, "brick")[-1, 0] == pytest.approx(displacement, abs=1e-6)
 
@@ -278,7 +279,7 @@ def test_event_driven_detects_collision_of_fast_balls_within_a_step():
     (hit,) = run.events
     assert hit.time == pytest.approx((1.0 - 0.04) / 50.0, abs=1e-14)  # 0.08 apart along x, 0.06 across
     assert hit.label == "balls: left_ball on right_ball"
-    # Equal masses exchange what they have along the line of centres.
+    # Equal masses exchange their velocity components along the line of centers.
     line = np.array([-0.8, -0.6, 0.0])
     expected = np.array([50.0, 0.0, 0.0]) + 80.0 * line
     np.testing.assert_allclose(body_of(run, "left", "linear_velocity")[-1], expected, atol=1e-12)
@@ -287,7 +288,7 @@ def test_event_driven_detects_collision_of_fast_balls_within_a_step():
 
 
 def rod(mu, angle, speed):
-    """A rod of 1 kg and 2 m that slides on its lower end, leaning back from where it goes."""
+    """A rod of 1 kg and 2 m that slides on its lower end, tilted against its motion."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(wc.meshes.grid((40.0, 40.0), (1, 1)), name="ground")
     bar = scene.add_body(
@@ -312,7 +313,7 @@ def test_event_driven_raises_paradox_error_for_painleve_rod():
     assert str(caught.value.run) == "event-driven run from 0 s to 0 s: no events"
     run = EventDriven(rod(5.0 / 3.0 - 0.2, angle, 1.0)).run(0.02)
     assert not run.events_of("LIFT_OFF")
-    # Sliding the other way friction lifts, and there is none.
+    # For sliding in the opposite direction friction lifts, and there is no paradox.
     EventDriven(rod(5.0 / 3.0 + 0.01, angle, -1.0)).run(0.02)
 
 
@@ -331,7 +332,7 @@ def test_event_driven_tumbling_block_never_gains_energy():
         spin = Rotation.from_quat(state.orientation[0]).inv().apply(state.angular_velocity[0])
         moving = 5.0 * (state.linear_velocity[0] ** 2).sum() + 0.5 * (inertia * spin**2).sum()
         energy.append(moving + 10.0 * G * state.position[0, 2])
-    # Steps are exact to 1e-12 of some 150 J.
+    # Steps are accurate to 1e-12 of about 150 J.
     assert np.diff(energy).max() < 1e-9
 
 
@@ -339,7 +340,7 @@ def test_event_driven_tumbling_block_never_gains_energy():
 def test_event_driven_rocking_block_loses_energy_as_housner_and_comes_to_rest():
     model = block(mu=0.9)
     tilt = 2e-3
-    # About the edge at x = 0.5, which stays where it is.
+    # Rotation about the edge at x = 0.5, which is fixed.
     model["box.position"] = (
         0.5 - 0.5 * math.cos(tilt) + math.sin(tilt),
         0.0,
@@ -358,7 +359,7 @@ def test_event_driven_rocking_block_loses_energy_as_housner_and_comes_to_rest():
     np.testing.assert_allclose(ratios, 0.7, atol=1e-9)
     rests = run.events_of("REST")
     assert {one.item for one in rests} == {0, 1, 2, 3}
-    # Halves of a rocking follow one another by the same ratio in the end, t ∝ ω: no impact is far from the limit.
+    # Late half cycles of rocking decrease by the same ratio, t ∝ ω: each impact is close to the limit.
     assert 0.0 < rests[0].time - times[-1] < 1e-4
     after = run.times > rests[0].time
     assert after.any()
@@ -367,7 +368,7 @@ def test_event_driven_rocking_block_loses_energy_as_housner_and_comes_to_rest():
 
 
 def test_event_driven_newton_restitution_with_friction_adds_no_energy():
-    # A rod that hits the ground while its end slides (Kane and Levinson): restitution of 0.9 and strong friction.
+    # A rod whose end slides when it hits the ground (Kane and Levinson): restitution 0.9 and large friction.
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(wc.meshes.grid((40.0, 40.0), (1, 1)), name="ground")
     bar = scene.add_body(mass=1.0, inertia=(1.0 / 3.0, 1.0 / 3.0, 0.001), name="rod")
@@ -390,7 +391,7 @@ def test_event_driven_newton_restitution_with_friction_adds_no_energy():
             hit = run.events[0]
             gained += hit.separation_speed < 0.9 * hit.approach_speed - 1e-9
             assert energy[1] <= energy[0] + 1e-9
-    # In some of them Newton's law would have brought energy.
+    # In some of them, Newton's law without the limit would have added energy.
     assert gained > 0
 
 
@@ -440,6 +441,6 @@ def test_event_driven_raises_for_unsupported_input():
         engine.run(0.1).events_of("impact")
     with pytest.raises(KeyError, match="no contact 'wall' in the scene; available: touch"):
         engine.run(0.1).events_of("IMPACT", "wall")
-    # Eternal bouncing is not summed up.
+    # Infinite bouncing without loss has no accumulation point.
     with pytest.raises(RuntimeError, match="more than 5 events up to t = "):
         EventDriven(ball(restitution=1.0), most_events=5).run(20.0)

@@ -1,4 +1,4 @@
-"""Coulomb's cone: its projection, the law of one contact and its exact solution."""
+"""Coulomb's cone: projection, the law of one contact, and its exact solution."""
 
 import json
 
@@ -15,7 +15,7 @@ BOTH = pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32",
 
 @pytest.fixture(scope="module")
 def of_cone(device):
-    """Function that gives bases, projections, solutions and residuals of many contacts at once."""
+    """Returns a function that computes bases, projections, solutions and residuals of many contacts."""
 
     def build(real):
         f, t = cone.functions(real), structs(real)
@@ -51,10 +51,10 @@ def of_cone(device):
 
 
 def many(seed, real, *, rank=3):
-    """Random blocks W, b and μ, W = G Gᵀ of moderate or strong coupling; rounded to ``real``."""
+    """Random W, b and μ of single contacts; W = G Gᵀ with moderate or strong coupling; rounded to ``real``."""
     random = np.random.default_rng(seed)
     G = random.normal(size=(COUNT, 3, rank))
-    # Some contacts move far more easily one way than the other.
+    # The mobility of some contacts depends strongly on direction.
     G *= np.exp(random.uniform(-2.0, 2.0, (COUNT, 3, 1)))
     W = G @ np.swapaxes(G, 1, 2)
     b = random.normal(size=(COUNT, 3)) * np.exp(random.uniform(-4.0, 4.0, (COUNT, 3)))
@@ -63,7 +63,7 @@ def many(seed, real, *, rank=3):
         # Some barely approach.
         b[1::7, 0] *= 10.0 ** random.uniform(-20.0, 0.0, len(b[1::7]))
     else:
-        # As in a mechanism, what does not move is not asked to.
+        # As in a mechanism, immobile directions have zero velocity.
         b = (G @ random.normal(size=(COUNT, rank, 1)))[..., 0]
     W *= 10.0 ** random.uniform(-6.0, 6.0, (COUNT, 1, 1))
     mu = random.uniform(0.0, 2.0, COUNT)
@@ -106,7 +106,7 @@ def test_cone_projection_splits_into_cone_and_polar_cone(of_cone, real):
     assert (inside >= -rounding * size).all()
     assert (polar >= -rounding * size).all()
     assert (np.abs((nearest * rest).sum(axis=1)) <= rounding * size**2).all()
-    # Every branch was taken.
+    # Every branch occurred.
     assert 0.1 < np.mean((nearest == z).all(axis=1)) < 0.5
     assert 0.1 < np.mean((nearest == 0.0).all(axis=1)) < 0.5
 
@@ -127,27 +127,27 @@ def test_single_contact_solution_satisfies_the_contact_law(of_cone, real, rank):
     lam, r = of_cone(real)(W, b, mu)[2:]
     w = np.einsum("nij,nj->ni", W, lam) + b
     across, slip = np.linalg.norm(lam[:, 1:], axis=1), np.linalg.norm(w[:, 1:], axis=1)
-    # What sums of W l and b round to, as a velocity and as a force; l_n is a sum of −b_n / W_nn and of more.
+    # Rounding of sums of W l and b, as a velocity and as a force; l_n is a sum of −b_n / W_nn and other terms.
     trace = np.trace(W, axis1=1, axis2=2)
     velocity = np.linalg.norm(b, axis=1) + trace * np.linalg.norm(lam, axis=1)
     force = velocity / W[:, 0, 0]
-    # A velocity of 64 roundings of its parts is taken to be none, and rounding of W puts some out of reach.
+    # Velocities below 64 roundings of their terms count as zero, and rounding of W makes some problems unsolvable.
     eps = 300 * EPS[real]
     assert (lam[:, 0] >= 0.0).all()
     assert (w[:, 0] >= -eps * velocity).all()
     assert (lam[:, 0] * w[:, 0] <= eps * velocity * lam[:, 0]).all()
     assert (across <= mu * lam[:, 0] + eps * (1.0 + mu) * force).all()
-    # Friction opposes slip, and is at its limit then.
+    # Friction opposes slip and is then at its limit.
     opposed = np.abs(slip * across + (w[:, 1:] * lam[:, 1:]).sum(axis=1))
     assert (opposed <= eps * velocity * across).all()
     assert (slip * (mu * lam[:, 0] - across) <= eps * velocity * (1.0 + mu) * force).all()
-    # The measure of the solvers says the same.
+    # The residual of the solvers is small as well.
     assert (r <= eps * (1.0 + mu) * force).all()
     # Every mode occurred.
     stuck = (slip <= eps * velocity) & (lam[:, 0] > 0.0)
     assert 0.4 < np.mean(lam[:, 0] == 0.0) < 0.6
     assert np.mean(stuck) > 0.05
-    if rank != 1:  # where what moves across also moves along the normal, and is held by it
+    if rank != 1:  # tangential motion is coupled with the normal, which prevents it
         assert np.mean(~stuck & (lam[:, 0] > 0.0)) > 0.1
 
 

@@ -1,4 +1,4 @@
-"""Impacts of bodies that touch: one rule in time steps and from event to event, simultaneous or sequential."""
+"""Multiple impacts of bodies in contact: simultaneous and sequential rule in both integrators."""
 
 from itertools import product
 
@@ -17,7 +17,7 @@ RESTITUTION = np.array([1.0, 0.5, 1.0, 0.7])
 def row_of_balls(
     count, *, gap=0.0, restitution=1.0, mu=None, spin=0.0, particles=False, motion=None, envs=1, **options
 ):
-    """Balls of radius 50 mm in a row along x, ``gap`` apart; the first comes from 20 mm away at 1 m/s."""
+    """Balls of radius 50 mm in a row along x, ``gap`` apart; the first arrives from 20 mm away at 1 m/s."""
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     shapes = []
     for i in range(count):
@@ -41,7 +41,7 @@ def velocities(model, count):
 
 
 def by_steps(model, count, rule, *, dt=1e-3, duration=0.04):
-    """Returns the velocities (envs, bodies, 3) after time steps."""
+    """Returns the velocities (envs, bodies, 3) after time stepping."""
     sim = wc.Simulation(model, dt, wc.integrators.MoreauJean(impacts=rule))
     sim.reset()
     sim.step(round(duration / dt))
@@ -50,7 +50,7 @@ def by_steps(model, count, rule, *, dt=1e-3, duration=0.04):
 
 
 def by_events(model, count, rule, *, env=0, duration=0.04):
-    """Returns the velocities (bodies, 3) of one environment, from event to event."""
+    """Returns the velocities (bodies, 3) of one environment after event-driven integration."""
     model.reset()
     state = wc.unilateral.EventDriven(model, env, impacts=rule)
     state.run(duration)
@@ -58,7 +58,7 @@ def by_events(model, count, rule, *, env=0, duration=0.04):
 
 
 def simultaneous(mass, restitution, before):
-    """Returns the velocities along the row that solve 0 ≤ P ⟂ U⁺ + e U⁻ ≥ 0, by trying all sets of contacts."""
+    """Returns the velocities along the row that solve 0 ≤ P ⟂ U⁺ + e U⁻ ≥ 0, by enumeration of active contacts."""
     count = len(mass)
     H = np.diff(np.eye(count), axis=0)
     W = H / mass @ H.T
@@ -72,7 +72,7 @@ def simultaneous(mass, restitution, before):
 
 
 def sequential(mass, restitution, before):
-    """Returns the velocities along the row after impacts of two balls each, the fastest first."""
+    """Returns the velocities along the row after a sequence of pair impacts, the fastest first."""
     v = before.copy()
     for _ in range(10_000):
         approach = v[:-1] - v[1:]
@@ -87,7 +87,7 @@ def sequential(mass, restitution, before):
 
 @pytest.fixture(scope="module")
 def five(device):
-    """Five touching balls: equal and unequal masses, with and without loss."""
+    """Five balls in contact: equal and unequal masses, with and without loss."""
     model = row_of_balls(5, envs=len(MASSES), device=device)
     for i in range(5):
         model[f"ball_{i}.mass"] = MASSES[:, i]
@@ -143,11 +143,11 @@ def test_sequential_impacts_of_bodies_on_sliders_equal_the_closed_form(device):
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.slow
 def test_both_integrators_agree_on_multiple_impacts_with_friction(rule, device):
-    """A ball that spins hits two that touch: the normal velocities follow the rule, and friction gives slip."""
+    """A spinning ball hits two balls in contact: normal velocities follow the rule, and friction adds slip."""
     model = row_of_balls(3, mu=0.2, spin=30.0, device=device)
     stepped, exact = by_steps(model, 3, rule, dt=1e-4)[0], by_events(model, 3, rule)
     assert abs(exact[1, 2]) > 0.1
-    # The spin does not change before the impact; contacts are those within a step of it.
+    # The spin is unchanged before the impact; contacts within a step are closed.
     np.testing.assert_allclose(stepped, exact, atol=1e-3)
 
 
@@ -193,7 +193,7 @@ def sequential_from_above(mass, restitution, before):
 
 
 def supported_balls(count, envs, device, precision="float64"):
-    """Balls of 1 kg on a floor, one on the other, under gravity, e = 1; 10 mm above them one that falls at 2 m/s."""
+    """Stacked balls of 1 kg on a floor under gravity, e = 1; another ball falls from 10 mm above them at 2 m/s."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(2.0), name="ground")
     shapes = []
@@ -210,13 +210,13 @@ def supported_balls(count, envs, device, precision="float64"):
 
 
 def energy_above_rest(data, model, count):
-    """Returns the energy (time, envs) without the potential energy of all balls at rest on each other."""
+    """Returns the energy (time, envs) relative to the potential energy of all balls at rest on each other."""
     total = data["scene.kinetic_energy"].values + data["scene.potential_energy"].values
     return total - sum(model[f"ball_{i}.mass"] * G * (0.05 + 0.1 * i) for i in range(count))
 
 
 def test_sequential_impact_on_a_supported_ball_converges_to_the_closed_form(device):
-    """The impulse that carries the weight does work during the impact, which restitution loses: both of order dt."""
+    """The impulse of the weight does work during the impact, which restitution loses: both are of order dt."""
     top_mass = np.array([0.5, 0.1, 0.3, 0.5, 0.5])
     e = np.array([1.0, 1.0, 1.0, 0.999, 0.5])
     model = supported_balls(2, len(e), device)
@@ -240,10 +240,10 @@ def test_sequential_impact_on_a_supported_ball_converges_to_the_closed_form(devi
         errors.append(np.abs(found - expected).max(axis=1))
         energy = energy_above_rest(data, model, 2)
         assert (energy <= energy[0] * (1.0 + 1e-6)).all()
-        # Restitution is limited by no more than this work.
+        # The energy limit of restitution removes no more than this work.
         np.testing.assert_allclose(energy[-1, :3], energy[0, :3], rtol=1e-5)
     errors = np.array(errors)
-    # Limited restitution costs up to three times the speed that gravity adds in a step.
+    # Limited restitution costs up to three times the velocity of gravity in a step.
     assert (errors[0] < 3.0 * G * 1e-3).all()
     np.testing.assert_allclose(errors[0, :3] / errors[1, :3], 10.0, rtol=0.1)
     assert (errors[:, 4] < 1e-6).all()
@@ -258,7 +258,7 @@ def test_energy_of_elastic_balls_under_gravity_is_kept_by_sequential_impacts(dev
     data = sim.run(1.0, ["scene.kinetic_energy", "scene.potential_energy"])
     energy = energy_above_rest(data, model, 4)
     np.testing.assert_allclose(energy, np.broadcast_to(energy[0], energy.shape), rtol=1e-3)
-    # A contact that is closed but parts with less than g h is held, which may lift each ball by as much.
+    # A closed contact that separates with less than g h is held, which may lift each ball by as much.
     held = sum(model[f"ball_{i}.mass"] for i in range(4)) * (G * 1e-3) ** 2 / 8.0
     assert (np.diff(energy, axis=0) <= held + 1e-6 * energy[0]).all()
     assert not model.sensor("scene.solve_failures").any()

@@ -1,4 +1,4 @@
-"""What an assembly is made of: contacts of all kinds, coefficients of each environment, and loads."""
+"""Rigid assemblies: contacts of all kinds, coefficients of each environment, and loads."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def test_closest_points_of_segments_match_brute_force():
     assert (np.abs(s) <= 1.0).all()
     assert (np.abs(t) <= 1.0).all()
     found = np.linalg.norm(d + s[:, None] * g - t[:, None] * h, axis=1)
-    # None of a grid of points is nearer; and where it is found is one of their points.
+    # No pair of grid points is nearer, and the contact point is one of theirs.
     grid = np.linspace(-1.0, 1.0, 41)
     x, y = (values.reshape(-1, 1, 1) for values in np.meshgrid(grid, grid))
     assert (found <= np.linalg.norm(d + x * g - y * h, axis=2).min(axis=0) + 1e-12).all()
@@ -44,7 +44,7 @@ def test_assembled_particle_pairs_match_the_engine():
     np.testing.assert_allclose(own.gap, seen["gap"].values, atol=1e-15)
     np.testing.assert_allclose(own.axes[:, 0], seen["normal"].values, atol=1e-14)
     np.testing.assert_allclose(own.point, seen["point"].values, atol=1e-15)
-    # And where it has none, as they are apart.
+    # Without contact if they are apart.
     apart = capsules(gap=1.0)
     assert len(apart.contact_pairs("rods")["gap"]) == 0
     assert wc.unilateral.assemble(apart).count == 0
@@ -72,7 +72,7 @@ def test_assembled_coefficients_are_those_of_the_environment():
     W = own.delassus
     np.testing.assert_allclose(W, W.T, atol=1e-15)
     np.testing.assert_allclose(W[:3, :3], np.eye(3), atol=1e-15)
-    # K of the second is 1 m from the centre: 1/m + 1/I across.
+    # K of the second contact is 1 m from the center: 1/m + 1/I across.
     np.testing.assert_allclose(np.diag(W[3:, 3:]), [11.0, 1.0, 11.0], atol=1e-14)
 
 
@@ -80,7 +80,7 @@ def test_assembled_float32_environment_is_accurate_to_its_precision():
     model = ball(height=1e-7)
     wide = wc.unilateral.assemble(model)
     narrow = wc.unilateral.assemble(model.scene.build(device="cpu", precision="float32"))
-    np.testing.assert_allclose(narrow.gap, wide.gap, atol=1e-8)  # the radius is rounded, too
+    np.testing.assert_allclose(narrow.gap, wide.gap, atol=1e-8)  # the radius is rounded as well
     np.testing.assert_allclose(narrow.H, wide.H, atol=1e-7)
 
 
@@ -111,7 +111,8 @@ def test_event_driven_mass_on_spring_hits_a_stop_at_closed_form_times():
     ends = scene.add_point(mass, (0, 0, 0)), scene.add_point(None, (0, 0, 3.0))
     scene.add_spring_damper(*ends, stiffness=50.0, damping=0.0, rest_length=2.5)
     run = EventDriven(scene.build(device="cpu", precision="float64")).run(1.2)
-    # At rest the spring has its end where the ball touches; half a period later with half the speed it is back.
+    # The rest length of the spring ends where the ball is in contact; it returns after half a period with half the
+    # speed.
     rate = 5.0
     first, second = run.events_of("IMPACT")[:2]
     assert first.time == pytest.approx(0.5 * np.pi / rate, abs=1e-10)
@@ -136,7 +137,7 @@ def test_event_driven_point_sliding_off_a_table_lifts_off():
     speed = np.sqrt(4.0 - 2.0 * 0.2 * G * 0.5)
     leaves = (2.0 - speed) / (0.2 * G)
     (event,) = run.events
-    # The engine has a point beside a boundary yet at it, up to a small part of an edge.
+    # The engine accepts a point up to a small fraction of an edge outside the boundary.
     assert event.kind == "LIFT_OFF"
     assert event.time == pytest.approx(leaves, abs=2e-4)
     falls = 0.1 - 0.5 * G * (0.4 - event.time) ** 2
@@ -153,7 +154,7 @@ def test_event_driven_stick_slip_uses_static_and_dynamic_friction():
     friction = wc.friction.Hollars(mu_static=0.6, mu_dynamic=0.4)
     hard = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e6), friction=friction)
     scene.add_shape_contact(foot, ground, hard, name="touch")
-    # A sled pulls at a spring, which slips when it pulls with μ_s m g.
+    # A sled pulls a block by a spring; the block slips when the force is μ_s m g.
     sled = scene.add_body(
         mass=1.0,
         inertia=[0.1] * 3,
@@ -169,7 +170,8 @@ def test_event_driven_stick_slip_uses_static_and_dynamic_friction():
     assert (slips.kind, sticks.kind) == ("SLIP", "STICK")
     start = 0.6 * G / (40.0 * 0.5)
     assert slips.time == pytest.approx(start, abs=1e-10)
-    # m ẍ = k (v t + …) − μ_d m g from there: x = v t − (v/ω) sin ωt + (Δμ g/ω²)(1 − cos ωt), at rest again later.
+    # From there m ẍ = k (v t + …) − μ_d m g: x = v t − (v/ω) sin ωt + (Δμ g/ω²)(1 − cos ωt), until it is at rest
+    # again.
     rate, jump = np.sqrt(40.0), 0.2 * G / 40.0
     time = sticks.time - start
     speed = 0.5 - 0.5 * np.cos(rate * time) + jump * rate * np.sin(rate * time)

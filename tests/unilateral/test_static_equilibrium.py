@@ -1,4 +1,4 @@
-"""Statics of rigid assemblies: whether they are at rest, and what their contacts hold, against closed forms."""
+"""Equilibrium of rigid assemblies and contact forces, against closed forms."""
 
 import math
 
@@ -9,7 +9,7 @@ from rigid_scenes import G, block, ladder, rigid, three_balls
 import warpcontact as wc
 from warpcontact.scene.status import ContactMode
 
-# Contact forces follow from a linear system once it is known what slides: what is left is rounding, of 100 N.
+# With known contact modes, the forces solve a linear system; the error is rounding of 100 N.
 FORCE = 1.0e-9
 
 
@@ -33,7 +33,7 @@ def test_pushed_block_equilibrium_rests_slides_or_tips(push, height, mu, sums, a
         else:
             corners = np.sign(result.assembly.point[:, 0]) == np.sign(side)
             assert result.normal_force[corners].sum() == pytest.approx(expected, abs=FORCE)
-    # Four corners, six equations: the forces are in the cone, and which of them is a choice.
+    # Four contact points, six equations: the forces are in the cone, but not unique.
     tangential = np.linalg.norm(result.force[:, :2], axis=1)
     assert (tangential <= mu * result.normal_force * (1.0 + 1e-9) + FORCE).all()
     assert not result.determined[result.mode != ContactMode.OPEN].any()
@@ -66,7 +66,7 @@ def test_block_on_slope_is_in_equilibrium_up_to_friction_angle(slope):
 
 def test_ladder_equilibrium_matches_closed_form_friction():
     angle = math.radians(60.0)
-    # Moments about the foot: N_wall = m g/(2 tan θ), which the foot holds by friction.
+    # Moments about the lower end: N_wall = m g/(2 tan θ), which friction at the lower end balances.
     threshold = 1.0 / (2.0 * math.tan(angle))
     result = wc.unilateral.equilibrium(ladder(threshold * (1.0 + 1e-6), angle))
     assert result.holds
@@ -82,7 +82,7 @@ def test_three_ball_equilibrium_requires_closed_form_friction():
     model["balls.friction.mu"] = threshold * (1.0 + 1e-6)
     result = wc.unilateral.equilibrium(model)
     assert result.holds
-    # N = m g/2 between balls, whatever the angle; friction of both contacts of a lower ball is the same.
+    # N = m g/2 between balls for any angle; friction of both contacts of a lower ball is equal.
     between = result.assembly.names == "balls"
     np.testing.assert_allclose(result.normal_force[between], 0.5 * 3.0 * G, atol=FORCE)
     for side, sign in (("left", -1.0), ("right", 1.0)):
@@ -102,7 +102,9 @@ def threshold_of(sine):
 
 
 def bars():
-    """Bars of 4 kg and 2 m, on a hinge at one end and the ground at the other, and on a rail against it."""
+    """Bars of 4 kg and 2 m, with a revolute joint at one end and the ground at the other, and with a rail against
+    it.
+    """
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(wc.meshes.grid((40.0, 40.0), (1, 1)), name="ground")
     motions = {
@@ -172,7 +174,7 @@ def test_assembled_contact_velocities_match_the_engine():
 def test_equilibrium_leaves_the_model_bitwise_unchanged(precision):
     model = block(20.0, velocity=0.7, slope=0.3).scene.build(envs=2, device="cpu", precision=precision)
     state = model.arrays.state
-    # As rounding in steps leaves them: a quaternion of not quite unit length, a position with a remainder.
+    # Rounding errors of steps: a quaternion that is not of unit length, a position with a remainder.
     state.body_orientation.numpy()[:, 0, 1] *= 1.0 + 1e-6
     if precision == "float32":
         state.body_position_remainder.numpy()[:, 0, 0] = 1e-9
@@ -232,7 +234,7 @@ def test_equilibrium_raises_for_unsupported_input():
         wc.unilateral.equilibrium("model")
     with pytest.raises(ValueError, match="closed must be at least 0, got -1 m"):
         wc.unilateral.equilibrium(whole, closed=-1.0)
-    # Without any friction, and with a gap, it falls.
+    # Without friction and with a gap, it falls.
     assert wc.unilateral.equilibrium(whole).holds
     whole["ball.position"] = (0, 0, 1.1)
     assert not wc.unilateral.equilibrium(whole).holds

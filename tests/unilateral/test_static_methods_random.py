@@ -1,4 +1,4 @@
-"""Random static problems by every method, against the contact law and against all solutions."""
+"""Random static problems with each method, against the contact law and the set of all solutions."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ KINDS = ["definite", "semidefinite", "indefinite", "singular_indefinite"]
 
 
 def random_problem(rng, kind, dim):
-    """A problem of 1 to 6 displacements and 1 to 6 contacts, or 3 with friction; some contacts are redundant."""
+    """1 to 6 displacements and 1 to 6 contacts, or 3 with friction; some contacts are redundant."""
     n, m = rng.integers(1, 7), rng.integers(1, 7 if dim == 1 else 4)
     turn, sizes = np.linalg.qr(rng.normal(size=(n, n)))[0], rng.uniform(0.2, 3.0, n)
     if kind in ("semidefinite", "indefinite"):
@@ -21,13 +21,13 @@ def random_problem(rng, kind, dim):
     G = rng.normal(size=(m, dim, n))
     if m > 1 and rng.random() < 0.3:
         G[1] = rng.uniform(0.5, 2.0) * G[0]
-    # Gaps that are open or closed at a displacement, or arbitrary.
+    # Gaps are open or closed at some displacement, or arbitrary.
     d = np.abs(rng.normal(size=m)) * (rng.random(m) < 0.8)
     if rng.random() < 0.5:
         d += G[:, 0] @ rng.normal(size=n)
     f = 2.0 * rng.normal(size=n)
     if rng.random() < 0.8:
-        # A load that springs and contacts can hold.
+        # A load that springs and contacts can balance.
         f = K @ rng.normal(size=n) + G[:, 0].T @ np.abs(rng.normal(size=m))
     if dim == 1:
         return Problem(0.5 * (K + K.T), f, G[:, 0], d)
@@ -54,14 +54,16 @@ def violation(problem, solution):
 
 
 def is_isolated(problem):
-    """Whether no solutions form a continuum: with friction those of singular K or redundant contacts may."""
+    """Whether solutions are isolated; with friction, those of singular K or redundant contacts may form a
+    continuum.
+    """
     rows = problem.G.reshape(-1, problem.G.shape[-1])
     regular = np.abs(np.linalg.eigvalsh(problem.K)).min() > 1e-9
     return problem.dim == 1 or (regular and np.linalg.matrix_rank(rows) == len(rows))
 
 
 def check(problem, method, solutions):
-    """Checks a solution of ``method``; ``solutions``: all, or None if they cannot be enumerated."""
+    """Checks a solution of ``method``; ``solutions``: all solutions, or None if enumeration is not possible."""
     solution = problem.solve(method)
     if solution.converged:
         assert violation(problem, solution) < 1e-9
@@ -73,7 +75,7 @@ def check(problem, method, solutions):
         assert np.abs(problem.K @ v).max() < 1e-9
         assert problem.f @ v > 0.0
         assert (problem.G[:, 0] @ v < 1e-9).all()
-    # The default method and enumeration find a solution if there is one; others may report that they did not.
+    # The default method and enumeration find a solution if one exists; others may report no convergence.
     complete = method in ("projection", "enumeration") or solution.termination != Termination.NOT_CONVERGED
     if solutions is not None and complete:
         assert solution.converged == bool(solutions)

@@ -1,4 +1,4 @@
-"""Static contact problems: what may be handed in, many at once, files, and what a diagnosis says."""
+"""Static contact problems: input, batches, files, and diagnosis."""
 
 import io
 import re
@@ -35,7 +35,7 @@ def frictional(seed=0, count=None, n=9, contacts=3, dim=3):
     }
 
 
-# What a solution is
+# Conditions on a solution
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -80,12 +80,12 @@ def test_gap_closes_for_any_friction_coefficient(mu):
         np.testing.assert_allclose(solution.lam, [[15.0, 6.0]], rtol=1e-12)
         assert solution.converged
     for method in ("prox", "energy"):
-        # Too steep a cone for these, which they say.
+        # The cone is too wide for these methods, which they report.
         assert not problem.solve(method, iterations=1000).converged
 
 
 def test_soft_contact_next_to_stiff_one_is_judged_by_its_own_force():
-    # 5e11 N at the stiff one, 4 N at the soft one.
+    # 5e11 N at the stiff contact, 4 N at the soft one.
     problem = Problem(np.diag([1e12, 1.0]), [1e12, 5.0], np.eye(2), [0.5, 1.0])
     for method in ("enumeration", *METHODS):
         solution = problem.solve(method)
@@ -97,7 +97,7 @@ def test_soft_contact_next_to_stiff_one_is_judged_by_its_own_force():
 @pytest.mark.parametrize("dim", [1, 2])
 @pytest.mark.parametrize("seed", range(3))
 def test_grazing_contacts_have_no_force_from_rounding(seed, dim):
-    # Loaded until all gaps are just closed: q is rounding of what it is the difference of.
+    # The load just closes all gaps: q is the rounding of a difference.
     random = np.random.default_rng(seed)
     A, u, G = random.normal(size=(6, 6)), random.normal(size=6), random.normal(size=(3, dim, 6))
     K = A @ A.T + np.eye(6)
@@ -110,7 +110,7 @@ def test_grazing_contacts_have_no_force_from_rounding(seed, dim):
         assert not solution.active.any()
         np.testing.assert_allclose(solution.u, u, atol=1e-13)
     assert len(problem.all_solutions()) == 1
-    # So of springs that push away.
+    # Same for springs with negative stiffness.
     assert len(Problem(-3.0, -3.0 * 0.1, 1.0, 0.1).all_solutions()) == 1
     assert Problem(-3.0, -0.3, 1.0, 0.1).diagnose().unique_lam
 
@@ -133,7 +133,7 @@ def test_tangents_without_friction_do_not_change_the_solution():
     assert without.slip is None
 
 
-# Many at once
+# Batches
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -207,7 +207,7 @@ def test_problem_without_contacts_is_solved():
         assert empty.lam.shape == (0, 3)
 
 
-# Bad input
+# Invalid input
 
 BAD = [
     ({"K": [[1.0, 2.0, 0.0]]}, "K must be of shape (n, n)"),
@@ -337,7 +337,7 @@ def test_invalid_problem_files_are_refused(tmp_path):
 
 
 def saved(path, entries):
-    """Writes those entries of an archive that are not ``None``."""
+    """Writes the entries of an archive that are not ``None``."""
     np.savez(path, **{name: value for name, value in entries.items() if value is not None})
     return path
 
@@ -416,7 +416,7 @@ def test_conflicting_walls_have_no_solution():
 
 
 def test_friction_of_two_feet_has_a_unique_sum_only():
-    # The mass matrix in place of K, accelerations in place of displacements: G = −H.
+    # The mass matrix instead of K, accelerations instead of displacements: G = −H.
     H = np.array([[0, 1, -0.5], [1, 0, 1.0], [0, 1, 0.5], [1, 0, 1.0]])
     K = np.diag([10.0, 10.0, 10.0 * 5.0 / 12.0])
     problem = Problem(K, [20.0, -98.1, 0.0], -H.reshape(2, 2, 3), np.zeros(2), mu=0.5)
@@ -442,8 +442,8 @@ def test_friction_below_the_bound_has_one_solution():
 
 
 def test_large_friction_can_have_several_solutions():
-    # W = [[1, 0.9], [0.9, 1]] and q = (0.2, 1): open, λ = 0; sticking, λ = −W⁻¹ q; or slipping with λ_t = −2 λ_n,
-    # where friction presses more than pressing parts, 0.2 + (1 − 1.8) λ_n = 0.
+    # W = [[1, 0.9], [0.9, 1]] and q = (0.2, 1): open, λ = 0; sticking, λ = −W⁻¹ q; or slipping with λ_t = −2 λ_n.
+    # When slipping, friction adds more pressure than separation removes: 0.2 + (1 − 1.8) λ_n = 0.
     K = np.linalg.inv([[1.0, 0.9], [0.9, 1.0]])
     problem = Problem(K, [0.0, 0.0], np.eye(2)[None], [0.2], mu=2.0, previous=1.0)
     solutions = sorted(problem.all_solutions(), key=lambda one: one.lam[0, 0])
@@ -475,11 +475,11 @@ def test_non_positive_stiffness_is_diagnosed_by_enumeration(k):
 
 
 def test_unopposed_load_has_no_solution():
-    # The contact has no hold on u, or there is none.
+    # The contact does not act on u, or there is none.
     for G, d in ((0.0, 1.0), (np.zeros((0, 1)), [])):
         solution = Problem(0.0, 5.0, G, d).solve("enumeration")
         assert solution.termination == wc.unilateral.Termination.UNBOUNDED
-        # All of the load is not balanced.
+        # None of the load is balanced.
         assert solution.residual == pytest.approx(1.0)
         assert Problem(0.0, 5.0, G, d).all_solutions() == []
 

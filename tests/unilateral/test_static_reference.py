@@ -1,4 +1,4 @@
-"""Static unilateral contact against worked numbers, by every method that applies."""
+"""Static unilateral contact against hand values, with every applicable method."""
 
 import json
 
@@ -9,7 +9,8 @@ import warpcontact as wc
 
 METHODS = ["enumeration", "energy", "projection", "prox", "gauss_seidel"]
 FRICTIONAL_3D = METHODS[1:]
-#: So small that what the slow methods leave, over the flexibility of a chain, stays below 1e-12 of the forces.
+# So small that the residual of slow methods, amplified by the flexibility of a chain, is below 1e-12 of the
+# forces.
 TIGHT = 1e-14
 EXACT = {"rtol": 1e-12, "atol": 1e-12}
 
@@ -20,7 +21,7 @@ def oracle(shared):
 
 
 def chain(size, stiffness=1000.0):
-    """Masses in a row, springs between them and to the ground at the first."""
+    """Masses in a row, with springs between them and from the first to the ground."""
     K = stiffness * (2.0 * np.eye(size) - np.eye(size, k=1) - np.eye(size, k=-1))
     K[-1, -1] = stiffness
     return K
@@ -53,7 +54,7 @@ def test_negative_spring_has_zero_one_or_two_solutions(oracle):
         diagnosis = problem.diagnose()
         assert diagnosis.exists == (len(expected) > 0)
         assert diagnosis.stiffness == "indefinite"
-        # What every method returns is one of them, or says that it is not.
+        # Each method returns one of the solutions or reports no convergence.
         for method in METHODS:
             solution = problem.solve(method, iterations=None if method == "enumeration" else 100)
             near = [np.allclose([solution.u[0], solution.lam[0]], one, atol=1e-9) for one in expected]
@@ -74,7 +75,7 @@ def test_chain_with_one_stop_matches_reference(oracle, method):
 @pytest.mark.parametrize("method", METHODS)
 def test_chain_with_a_stop_at_each_mass_matches_reference(oracle, method):
     c = oracle["chain_stops"]
-    # The chain softens what the residual, relative to 162 N/m × 0.1 m, leaves of the forces.
+    # The residual is relative to 162 N/m × 0.1 m; the flexibility of the chain amplifies its effect on forces.
     solution = wc.unilateral.solve(chain(5), c["f"], np.eye(5), c["d"], method=method, tolerance=1e-15,
                                    iterations=None if method == "enumeration" else 3000)  # fmt: skip
     np.testing.assert_allclose(solution.lam, c["lam"], atol=1e-12)
@@ -133,7 +134,7 @@ def test_rigid_block_matches_reference_in_rest_slip_and_tipping(oracle, case, me
     close = {"atol": 3e-10}
     normal, friction = solution.lam[:, 0], solution.lam[:, 1]
     np.testing.assert_allclose(normal, [c["N_left"], c["N_right"]], **close)
-    # How friction is shared is not unique when it sticks, its sum is.
+    # The distribution of friction in stick is not unique, but its sum is.
     np.testing.assert_allclose(friction.sum(), c["T_sum"], **close)
     np.testing.assert_allclose(inverse @ (applied + H.T @ solution.lam.reshape(-1)), c["acc"], **close)
     if case == "slip":

@@ -1,4 +1,4 @@
-"""The residual of static problems: its definition, units, and gaps far smaller than deflections."""
+"""Residual of static problems: definition, units, and gaps far smaller than deflections."""
 
 import sys
 
@@ -26,25 +26,25 @@ def test_gap_violation_is_relative_to_the_length():
     for off in (1e-3, -1e-3, 1e-9, -1e-9):
         u = 0.01 + off * 0.01
         assert residual(SPRING, [u], [25.0 - 1000.0 * u]) == pytest.approx(abs(off), rel=2e-3)
-    # Without a gap the length is the deflection of the spring by load and contact.
+    # Without a gap, the reference length is the deflection of the spring by load and contact.
     bare = Problem(1000.0, 25.0, 1.0, 0.0)
     assert residual(bare, [1e-3], [24.0]) == pytest.approx(1e-3 / 0.049)
 
 
 def test_force_violation_is_relative_to_the_terms_of_equilibrium():
-    # 25 N of load, 10 N of the spring and 15 N of the wall are the terms.
+    # The terms are 25 N of load, 10 N of the spring and 15 N of the wall.
     assert residual(SPRING, [0.01], [15.0 + 1e-6 * 50.0]) == pytest.approx(1e-6, rel=1e-5)
-    # A wall that pulls with 5 N where the mass would rest at 5 mm.
+    # A wall that pulls with 5 N, where the mass would rest at 5 mm.
     assert residual(Problem(1000.0, 5.0, 1.0, 0.01), [0.01], [-5.0]) == pytest.approx(5.0 / 20.0)
 
 
 def test_friction_violation_is_the_share_outside_of_the_cone_or_against_slip():
-    # Sticks with 4 N of at most 4.5 N; terms across are 4 N of load and of friction.
+    # Sticks with 4 N of at most 4.5 N; tangential terms are 4 N of load and 4 N of friction.
     stick = Problem(np.diag([1000.0, 500.0]), [25.0, 4.0], np.eye(2)[None], [0.01], 0.3)
     assert residual(stick, [0.01, 0.0], [15.0, 4.0]) < 1e-15
     slip = Problem(np.diag([1000.0, 500.0]), [25.0, 6.0], np.eye(2)[None], [0.01], 0.3)
     assert residual(slip, [0.01, 0.003], [15.0, 4.5]) < 1e-15
-    # 0.9 N beyond the cone, over 12 N of terms.
+    # 0.9 N outside of the cone, over 12 N of terms.
     assert residual(slip, [0.01, 0.0012], [15.0, 5.4]) == pytest.approx(0.9 / 12.0)
     # Too little friction for that slip: the smaller of 0.5 N over 12 N and the slip over 10 mm.
     assert residual(slip, [0.01, 0.004], [15.0, 4.0]) == pytest.approx(0.5 / 12.0)
@@ -56,7 +56,7 @@ def test_residual_force_scale_is_the_minimum_over_the_rows_of_a_contact(shared):
     problems, contacts, n = 4, 6, 9
     G = rng.normal(size=(1 if shared else problems, contacts, 2, n))
     G[rng.random((len(G), contacts, 1, n)).repeat(2, axis=2) < 0.6] = 0.0
-    G[:, 1] = 0.0  # enters no row
+    G[:, 1] = 0.0  # not in any row
     G[:, 2, :, :3], G[:, 2, :, 3:] = 1.0, 1e-12  # rounding of zero
     K, f = np.eye(n)[None], rng.normal(size=(problems, n))
     evaluator = ResidualEvaluator(K, f, G, np.zeros((1, contacts, 2)), np.full((1, contacts), 0.3))

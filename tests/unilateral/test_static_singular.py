@@ -1,4 +1,4 @@
-"""Static problems whose stiffness does not determine displacements alone, and problems without a solution."""
+"""Static problems with singular stiffness, and problems without a solution."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_free_mass_pressed_against_a_wall_rests_there(method, length, force):
 
 @pytest.mark.parametrize("k", [1e-4, 1e-8, 1e-12, 1e-16, 1e-30])
 def test_soft_spring_does_not_blur_the_gap(k):
-    # Without contact the mass would move by up to 1e30 m.
+    # Without contact, the displacement would be up to 1e30 m.
     for method in METHODS:
         solution = solve(k, 1.0, 1.0, 0.1, method=method)
         assert solution.converged
@@ -114,7 +114,7 @@ def test_unopposed_load_is_unbounded_along_its_direction():
 
 
 def test_unconstrained_displacement_is_reported_as_not_unique():
-    # A block that presses down on the ground and may slide along it without friction.
+    # A block pressed onto the ground, free to slide along it without friction.
     for method in METHODS:
         solution = solve(np.diag([0.0, 0.0]), [0.0, -10.0], [[0.0, -1.0]], [0.02], method=method)
         assert solution.termination == Termination.NOT_UNIQUE
@@ -130,7 +130,7 @@ def test_unconstrained_displacement_is_reported_as_not_unique():
 
 
 def test_grazing_contacts_restrain_without_force():
-    # Two walls without a gap on both sides hold a free mass; one does not.
+    # Two walls without gaps on both sides hold a free mass; one does not.
     both = solve(0.0, 0.0, [[1.0], [-1.0]], [0.0, 0.0])
     assert both.termination == Termination.CONVERGED
     one = solve(0.0, 0.0, [[1.0]], [0.0])
@@ -163,7 +163,7 @@ def test_diagnosis_of_redundant_supports_finds_unique_displacements_and_sums():
     assert tips.exists is False
 
 
-# Friction, sparse matrices, many problems
+# Friction, sparse matrices, batches
 
 
 @pytest.mark.parametrize("method", METHODS[:4])
@@ -180,7 +180,7 @@ def test_free_block_in_space_is_held_by_friction(method):
 @pytest.mark.parametrize("method", ["projection", "enumeration"])
 def test_free_block_jammed_between_walls_is_held_by_friction(method):
     # 1 N along two walls with μ = 0.2, any normal force of at least 2.5 N. The block was at rest at 0.1 m at the
-    # second wall, and friction of the first wall opposes it there as well.
+    # second wall, and friction of the first wall opposes its displacement there.
     rows = [[[-1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.0, 1.0]]]
     problem = Problem(np.zeros((2, 2)), [0.0, 1.0], rows, [0.0, 0.0], 0.2, [[0.0], [0.1]])
     solution = problem.solve(method)
@@ -204,7 +204,8 @@ def free_chain(n, stiffness=1e5):
 @pytest.mark.parametrize("method", METHODS[:4])
 @pytest.mark.parametrize("n", [40, 200])
 def test_free_chain_between_two_walls_is_solved(method, n):
-    # Springs in series share a load between walls like a lever. At each end are two walls, in the same place.
+    # Springs in series distribute a load between walls like a lever. At each end are two walls at the same
+    # position.
     K, G = free_chain(n)
     at = 5
     f = 10.0 * np.eye(n)[at]

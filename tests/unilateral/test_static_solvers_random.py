@@ -1,4 +1,4 @@
-"""Random static problems: each is solved, or is said not to be."""
+"""Random static problems: each is solved or reported as not converged."""
 
 import numpy as np
 import pytest
@@ -7,20 +7,19 @@ from contact_problems import problems, violation
 import warpcontact as wc
 
 SIZES = {1: 300, 2: 300, 4: 300, 8: 200, 16: 100, 32: 40, 64: 16}
-# Of problems with as strong a coupling as these, gauss_seidel goes round in circles in some.
+# Allowed shares of unsolved problems; with strong coupling, gauss_seidel cycles in some.
 UNSOLVED = {"projection": 0.01, "prox": 0.02, "energy": 0.1, "gauss_seidel": 0.1}
 
 
 def check(method, count, contacts, dim, freedoms, device, seed=1, shared=1):
-    """Solves random problems and returns the share of those that were not."""
+    """Solves random problems and returns the share of unsolved ones."""
     W, q, mu = problems(seed, count, contacts, dim, freedoms, shared=shared)
     solution = wc.unilateral.solve_delassus(
         W[0] if shared == count else W, q[..., 0] if dim == 1 else q, mu, method, tolerance=1e-8, device=device
     )
     lam = solution.lam.reshape(q.shape)
     np.testing.assert_array_equal(solution.converged, solution.residual <= 1e-8)
-    # One measures in forces, the other in velocities: some contacts move less easily than others by a hundred
-    # times.
+    # One measure is in forces, the other in velocities; the mobility of contacts varies by a factor of a hundred.
     assert violation(W, q, mu, lam)[solution.converged].max(initial=0.0) < 1e-6
     return 1.0 - solution.converged.mean()
 
@@ -45,7 +44,7 @@ def test_other_methods_solve_most_random_problems(method, dim, contacts, device)
 def test_projection_method_solves_many_random_problems_of_each_size(dim, contacts, times, device):
     """2000, or 10 000 with --thorough."""
     missed = []
-    # Large ones have W in common, each 250 of them: it would take longer to make as many than to solve them.
+    # Groups of 250 large problems share W, because making as many matrices would take longer than solving.
     count, shared = (250, 250) if contacts >= 32 else (1000, 1)
     for seed in range(2000 * times // count):
         missed.append(check("projection", count, contacts, dim, 1.0, device, seed, shared))
@@ -78,7 +77,7 @@ def test_all_methods_agree_if_the_solution_is_unique(dim, contacts, device):
     size = np.abs(found[0].lam).max()
     for solution in found:
         assert solution.converged.all()
-        # The residual over the smallest eigenvalue, at most 1e3 of them here.
+        # The residual over the smallest eigenvalue, a factor of at most 1e3 here.
         np.testing.assert_allclose(solution.lam, found[0].lam, atol=1e-9 * size)
 
 
@@ -86,7 +85,7 @@ def test_all_methods_agree_if_the_solution_is_unique(dim, contacts, device):
 def test_problem_alone_has_the_solution_it_has_in_a_batch(method, device):
     W, q, mu = problems(6, 200, 4, 2, 0.75)
     many = wc.unilateral.solve_delassus(W, q, mu, method, device=device)
-    # Those that took longest, where Newton's method started again, and some others.
+    # The problems with the most iterations, where Newton's method restarted, and some others.
     for k in [*np.argsort(many.iterations)[-5:], *range(5)]:
         one = wc.unilateral.solve_delassus(W[k], q[k], mu[k], method, device=device)
         np.testing.assert_allclose(one.lam, many.lam[k], atol=1e-12 * np.abs(one.lam).max(initial=1.0))

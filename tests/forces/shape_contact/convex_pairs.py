@@ -1,4 +1,4 @@
-"""Random pairs of convex shapes, and their gaps by brute force: support functions in NumPy, many directions."""
+"""Random pairs of convex shapes, and brute-force gaps from support functions in NumPy."""
 
 import functools
 
@@ -9,7 +9,7 @@ from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.shapes.base import ShapeContactPoint, WarmStart
 from warpcontact.kernels.shapes.pair_dispatch import pair_function
 
-# The solver by itself
+# The solver without a scene
 
 
 @functools.cache
@@ -42,16 +42,16 @@ def packed(shape, values, count, device="cpu"):
 
 
 def solved(A, B, a, b, x, q, seeds=None, device="cpu"):
-    """Solves pairs: a structured array of meetings.
+    """Solves pairs; returns a structured array of shape contacts.
 
     Args:
-        A: Shape.
-        B: Shape in whose frame the result is.
+        A: Class of the first shape.
+        B: Class of the second shape, in whose frame the result is given.
         a: Parameters of A, by name.
         b: Parameters of B.
-        x: Origin of A, (n, 3).
-        q: Rotation of A, (n, 4).
-        seeds: Of an earlier result.
+        x: Origins of A, (n, 3).
+        q: Rotations of A, (n, 4).
+        seeds: Warm starts of an earlier result.
         device: Warp device.
     """
     x = np.atleast_2d(np.asarray(x, dtype=float))
@@ -75,7 +75,7 @@ def solved(A, B, a, b, x, q, seeds=None, device="cpu"):
 
 
 def random_shapes(shape, count, rng, shortest=0.25, exponents=(0.1, 1.9)):
-    """Returns parameters of ``count`` shapes, no longer than 1 and no shorter than ``shortest``."""
+    """Returns parameters of ``count`` shapes with lengths between ``shortest`` and 1."""
 
     def sizes(*shape):
         return rng.uniform(shortest, 1.0, (count, *shape))
@@ -104,10 +104,10 @@ def random_rotations(count, rng):
 
 
 def random_pairs(A, B, count, seed=0, **options):
-    """Returns parameters of both, places and rotations of the first, for gaps from deep overlap to twice a size.
+    """Returns parameters of both, and poses of A, for gaps from deep overlap to twice the size.
 
-    The planes of one random direction are apart by −60 % to 200 % of the smaller mean width, most of them near
-    touching, and the bodies are displaced along the planes: the gap is that or more.
+    The support planes of a random direction are −60 % to 200 % of the smaller mean width apart, most of them near
+    contact. The shapes are also displaced along the planes, so the gap is that distance or more.
     """
     rng = np.random.default_rng(seed)
     a, b = random_shapes(A, count, rng, **options), random_shapes(B, count, rng, **options)
@@ -128,11 +128,11 @@ def _mean_width(shape, values):
     return 2.0 * heights(shape, values, n).mean(axis=1)
 
 
-# The same by brute force
+# Brute force
 
 
 def directions(count):
-    """Returns ``count`` unit vectors all around."""
+    """Returns ``count`` unit vectors spread over the sphere."""
     z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     across = np.sqrt(1.0 - z * z)
@@ -140,7 +140,7 @@ def directions(count):
 
 
 def to_a(rotation, n):
-    """Turns directions (n, d, 3) of the frame of b into that of a."""
+    """Rotates directions (n, d, 3) from the frame of b to that of a."""
     return np.einsum("nij,ndi->ndj", rotation, n)
 
 
@@ -155,7 +155,7 @@ def heights(shape, values, n):
         case "Ellipsoid":
             return np.linalg.norm(v["semi_axes"] * n, axis=-1)
         case "Superellipsoid":
-            # The largest of n·y on a surface |y/a|^(2/e) … = 1 is the dual norm.
+            # The maximum of n·y on a surface |y/a|^(2/e) … = 1 is the dual norm.
             p, r = 2.0 / (2.0 - v["exponents"][..., 0]), 2.0 / (2.0 - v["exponents"][..., 1])
             with np.errstate(under="ignore"):
                 x, y, z = np.moveaxis(np.abs(v["semi_axes"] * n), -1, 0)
@@ -179,12 +179,12 @@ def widths(A, B, a, b, x, rotation, n):
 
 
 def chosen(values, rows):
-    """Returns some rows of parameters."""
+    """Returns the selected rows of the parameters."""
     return {name: value[rows] for name, value in values.items()}
 
 
 def brute_force(A, B, a, b, x, q, count=2000, best=6, rounds=30, block=500):
-    """Returns the largest g that is found: on many directions, and closer and closer around the best few."""
+    """Returns the largest g found: over many directions, then refined around the best few."""
     rotation = Rotation.from_quat(q).as_matrix()
     around = directions(count)[None]
     found = np.empty(len(x))
@@ -220,7 +220,7 @@ def brute_force(A, B, a, b, x, q, count=2000, best=6, rounds=30, block=500):
 
 
 def outside(shape, values, y):
-    """How far points (n, 3) lie outside of shapes: 0 on the surface and less inside, about a distance [m]."""
+    """Level function of points (n, 3): 0 on the surface, negative inside, about a distance [m]."""
     across = np.hypot(y[:, 0], y[:, 1])
     match shape.__name__:
         case "Sphere":
@@ -246,15 +246,15 @@ def outside(shape, values, y):
 
 
 def check(A, B, pair, found, **effort):
-    """Asserts that every pair is solved, that no root is wrong, and what there is in points and residual.
+    """Asserts that all pairs are solved with consistent gaps, points and residuals.
 
-    The gap must be that of the planes along the normal, and the vector between the two points, which must lie in
-    the bodies: where it is not negative, no shorter vector and no wider gap can be. In overlap nothing better must
-    be found by ``brute_force`` with this ``effort``.
+    The gap must be that of the support planes along the normal, and the vector between the points, which must lie
+    in the shapes. If the gap is not negative, this proves that it is exact. In overlap, ``brute_force`` with this
+    ``effort`` must not find a larger gap.
     """
     a, b, x, q = pair
     steep = "Superellipsoid" in (A.__name__, B.__name__)
-    # What rounding of the normal, 1e-16, does to points: those of superellipsoids go by powers of it, to 1/19.
+    # Rounding of the normal by 1e-16 changes points of superellipsoids by a power of it, down to 1/19.
     allowed = 1e-5 if steep else 1e-11
     assert (found["status"] == 0).all()
     assert (found["residual"] <= (1e-6 if steep else 1e-9)).all()

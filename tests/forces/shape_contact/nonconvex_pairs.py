@@ -1,4 +1,4 @@
-"""Pairs of shapes one of which is not convex, on the device, and what is independent of it: plain NumPy."""
+"""Pairs with a nonconvex shape: contacts on the device, and independent references in NumPy."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ def packed(made):
 
 
 def shape_contacts(a, b, x, q, device, of_pair=None):
-    """Returns the meetings of shapes a and b, one for each position x (n, 3) and rotation q (n, 4), a → b."""
+    """Returns the contacts of shapes a and b, one for each position x (n, 3) and rotation q (n, 4), a → b."""
     of_pair = of_pair or nonconvex_pairs.pair_function(type(a), type(b))
     P_a, P_b = (coefficient_struct(type(s), wp.float64) for s in (a, b))
 
@@ -47,13 +47,13 @@ def shape_contacts(a, b, x, q, device, of_pair=None):
 
 
 def random_rotations(random, count):
-    """Returns unit quaternions (n, 4), all rotations alike."""
+    """Returns unit quaternions (n, 4), uniformly distributed."""
     q = random.normal(size=(count, 4))
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
 def rotated(q, v):
-    """Returns v (…, 3) turned by quaternions q (…, 4)."""
+    """Returns v (…, 3) rotated by quaternions q (…, 4)."""
     axis, w = q[..., :3], q[..., 3:]
     turned = 2.0 * np.cross(axis, v)
     return v + w * turned + np.cross(axis, turned)
@@ -74,7 +74,7 @@ def _box(p, half):
 
 
 def _ellipsoid(p, axes):
-    """By bisection for the multiplier t of the nearest point a² x/(t + a²)."""
+    """Distance by bisection for the multiplier t of the nearest point a² x/(t + a²)."""
     axes, p = np.broadcast_arrays(np.asarray(axes, dtype=np.float64), np.abs(p))
     squares = axes**2
     low = -squares.min(-1)
@@ -85,7 +85,8 @@ def _ellipsoid(p, axes):
             beyond = (((axes * p) / (t[..., None] + squares)) ** 2).sum(-1) > 1.0
         low, high = np.where(beyond, t, low), np.where(beyond, high, t)
     foot = squares * p / (high[..., None] + squares)
-    # What rounding leaves open near the middle surface lies along the shortest axis.
+    # Near the middle surface, the component along the shortest axis is below rounding; it follows from the
+    # equation.
     short = np.argmin(squares, -1)[..., None]
     rest = 1.0 - ((foot / axes) ** 2).sum(-1) + (np.take_along_axis(foot / axes, short, -1)[..., 0]) ** 2
     along = np.take_along_axis(axes, short, -1)[..., 0] * np.sqrt(np.maximum(rest, 0.0))
@@ -94,7 +95,7 @@ def _ellipsoid(p, axes):
 
 
 def signed_distance(shape: Any, p):
-    """Returns the distance of places p (…, 3) from the surface of a shape, in its frame, negative inside."""
+    """Returns the signed distance of points p (…, 3) from the surface of a shape, in its frame, negative inside."""
     across = _length(p[..., :2])
     if isinstance(shape, S.Sphere):
         return _length(p) - shape.radius
@@ -110,7 +111,7 @@ def signed_distance(shape: Any, p):
     if isinstance(shape, S.RoundedBox):
         return _box(p, np.array(shape.half_extents) - shape.radius) - shape.radius
     if isinstance(shape, S.Cone):
-        # In the half-plane of the axis: a triangle, as the nearest of its segments.
+        # In the half-plane of the axis the cone is a triangle; the nearest of its edges counts.
         corners = np.array([[0.0, 0.0], [shape.radius, 0.0], [0.0, shape.height]])
         at = np.stack([across, p[..., 2]], -1)
         nearest = np.full(across.shape, np.inf)
@@ -125,10 +126,10 @@ def signed_distance(shape: Any, p):
 
 
 def largest_separation(ring, other, x, q, columns=96, rows=48):
-    """The gap of a torus and a convex body that its core pierces, by a grid of directions, of support functions.
+    """Gap of a torus and a convex body pierced by its core circle, from support functions on a grid of directions.
 
-    The larger of two: that of the hull, the largest over all directions, and that of the ring around the body. Of
-    the latter the least level below which a path of cells leads from pole to pole.
+    It is the larger of two: the gap to the convex hull, the maximum over all directions, and the gap with the ring
+    around the body. The latter is the smallest level below which a path of grid cells connects the poles.
     """
     angle = 2.0 * np.pi * np.arange(columns)[:, None] / columns
     up = np.pi * ((np.arange(rows) + 0.5) / rows - 0.5)
@@ -142,7 +143,7 @@ def largest_separation(ring, other, x, q, columns=96, rows=48):
     low, high = around.min(), around.max()
     while high - low > 1e-5:
         middle = 0.5 * (low + high)
-        # Three times around, so that paths cross where columns begin.
+        # Three copies side by side, so that paths can cross the seam of the columns.
         cells, _ = label(np.tile(around < middle, (3, 1)))
         joined = (np.intersect1d(cells[:, 0], cells[:, -1]) > 0).any()
         low, high = (low, middle) if joined else (middle, high)
@@ -150,7 +151,7 @@ def largest_separation(ring, other, x, q, columns=96, rows=48):
 
 
 class Quadric(ParametricSurface):
-    """z = ½ (k_x x² + k_y y²): a bowl, a dome or a saddle by the signs."""
+    """z = ½ (k_x x² + k_y y²): a bowl, a dome or a saddle, depending on the signs."""
 
     k_x: float = parameter("1/m", "curvature along x")
     k_y: float = parameter("1/m", "curvature along y")

@@ -1,4 +1,4 @@
-"""Random pairs of a shape and a patch, and what must hold of their contacts."""
+"""Random pairs of a shape and a parametric surface (patch), and conditions on their contacts."""
 
 from typing import Any
 
@@ -13,19 +13,20 @@ from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
 from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
-# A place is nearer than another by more. Of minima within two of the finest cells, a thousandth of the patch, the
-# solver finds one: those are as near to 1e-8.
+# A point counts as nearer if its distance is smaller by more than TIE. The solver returns one of several minima
+# within two of the finest cells, 1/1000 of the patch, whose distances differ by 1e-8 at most.
 TIE = 1e-7
-# Slope of the distance along the patch that is none; where two ways out of the shape are as short it is any.
+# Slope of the distance along the patch that counts as zero. If two exits from the shape are equally near, the
+# slope is arbitrary.
 LEVEL = 1e-5
-# Parts of the radius of curvature of a convex patch that a shape is deep, beyond which its normals cross soon.
+# Penetration relative to the radius of curvature of a convex patch above which its normals soon intersect.
 DEEP = 0.5
-# How near to the edge of a patch a search that leads there ends.
+# Distance from the edge of a patch, in its parameters, at which a search that leads there ends.
 BESIDE = 1e-6
 
 
 class Waves(ParametricSurface):
-    """z = h sin(k x) sin(k y), without derivatives of its own."""
+    """z = h sin(k x) sin(k y), without analytic derivatives."""
 
     high: float = parameter("m", "height h")
     wave: float = parameter("1/m", "wave number k")
@@ -39,7 +40,7 @@ class Waves(ParametricSurface):
 
 
 class Tube(ParametricSurface):
-    """A round bar along z, closed around."""
+    """A round bar along z, periodic in u."""
 
     radius: float = parameter("m", "radius", above=0.0)
 
@@ -53,7 +54,7 @@ class Tube(ParametricSurface):
 
 
 class Bore(ParametricSurface):
-    """A round hole along z, closed around."""
+    """A round hole along z, periodic in u."""
 
     radius: float = parameter("m", "radius", above=0.0)
 
@@ -82,7 +83,7 @@ def random_patches(P, count, random):
 
 
 def random_bodies(A, count, random, scale=0.3):
-    """Returns parameters of shapes no longer than 0.3, or half of that again."""
+    """Returns parameters of shapes with a size of at most ``scale``, or 1.5 times that."""
     if A is Torus:
         major = scale * random.uniform(0.25, 1.0, count)
         return {"major_radius": major, "minor_radius": major * random.uniform(0.1, 0.9, count)}
@@ -114,10 +115,10 @@ def evaluate_surface(P, b, u, v):
 
 
 def random_pairs(A, P, count, seed):
-    """Returns parameters of both, places and rotations of the shape, and the largest curvature of the patch.
+    """Returns parameters of both, poses of the shape, and the largest curvature of the patch.
 
-    Along the normal of a random place of the patch the shape is −60 % to 200 % of its mean width away, most of
-    them near touching, and it is displaced beside that.
+    Along the normal at a random point of the patch, the distance is −60 % to 200 % of the mean width of the shape,
+    mostly near contact. The shape is also displaced sideways.
     """
     random = np.random.default_rng(seed)
     a, (b, bend) = random_bodies(A, count, random), random_patches(P, count, random)
@@ -125,7 +126,7 @@ def random_pairs(A, P, count, seed):
     u = random.uniform(0.0, 2.0 * np.pi, count) if P.u_periodic else random.uniform(-0.8, 0.8, count)
     foot, n = evaluate_surface(P, b, u, random.uniform(-0.8, 0.8, count))
     if A is S.Plane:
-        # Half-spaces that face the patch, turned by up to some 30°.
+        # Half-spaces that face the patch, tilted by up to about 30°.
         z = -n + 0.15 * random.normal(size=(count, 3))
         z /= np.linalg.norm(z, axis=1, keepdims=True)
         half = np.column_stack([-z[:, 1], z[:, 0], 0.0 * z[:, 0], 1.0 + z[:, 2]])
@@ -140,21 +141,21 @@ def random_pairs(A, P, count, seed):
 
 
 def is_at_boundary(P, place):
-    """Whether a place that was found lies on the edge of a patch."""
+    """Whether the points found are on the edge of a patch."""
     across = np.abs(place["v"]) > 1.0 - BESIDE
     return across if P.u_periodic else across | (np.abs(place["u"]) > 1.0 - BESIDE)
 
 
 def facing(P, place):
-    """Whether normals of shape and patch are opposite at a place that was found."""
+    """Whether normals of shape and patch are opposite at the points found."""
     return (place["tilt"] < LEVEL) & (place["along"] < -0.999) & ~is_at_boundary(P, place)
 
 
 def classify_contacts(A, P, pairs, met, device="cpu"):
-    """Returns masks of contacts by what they are, or what is wrong with them.
+    """Returns masks of contacts by kind, and of contacts that are wrong.
 
-    A contact is the place where the patch is deepest in the shape, or nearest to it, if its normal is that of the
-    shape there. If not, it is that of the patch lowered along its normals, which lies beyond the shape then.
+    The contact point is where the patch is deepest in the shape, or nearest to it, if the normals are opposite
+    there. If not, the point is that of the patch lowered along its normals until it is outside of the shape.
     """
     a, b, x, q, bend = pairs
     gap, u = met["gap"], met["seed"]["u"][:, :2]
@@ -165,13 +166,13 @@ def classify_contacts(A, P, pairs, met, device="cpu"):
     as_it_is = np.abs(ask.look(u, 0.0)[1] - gap) < TIE
     lowered = np.where(as_it_is, 0.0, 0.02 * size - gap)
     there = ask.look(u, lowered)[1] - lowered
-    # Where the patch as it is decides, no other is looked at.
+    # If the original patch decides, the lowered one is not searched.
     bound = np.where(as_it_is & good, gap - TIE, np.inf)
     bound_below = np.where(as_it_is, -np.inf, np.where(good, gap + lowered - TIE, np.inf))
     least, below = ask.least(0.0, bound), ask.least(lowered, bound_below)
     faces = facing(P, least)
-    # Where two ways out are as short along a curve, the distance has a narrow valley: what is said to be the least
-    # is looked at more closely.
+    # If two exits are equally near along a curve, the distance has a narrow valley. Such minima are searched again
+    # on a finer grid.
     doubt = np.flatnonzero(~as_it_is & faces)
     if doubt.size:
         own = [{name: value[doubt] for name, value in sizes.items()} for sizes in (a, b)]
@@ -180,7 +181,7 @@ def classify_contacts(A, P, pairs, met, device="cpu"):
         faces = facing(P, least)
     nearer = np.where(as_it_is, least["gap"] < bound, below["gap"] < bound_below)
     other = ~as_it_is & (faces | (least["gap"] >= 0.0) | (np.abs(there - gap) > TIE))
-    # Beyond the edge is what is nearest to it, and what is in front of the patch from behind, or wholly behind.
+    # A shape is outside if its nearest point is on the edge, or if it is entirely behind the patch.
     decides = as_it_is | faces | (least["gap"] >= 0.0)
     place = np.where(decides, least, below)
     inside = outside & ~is_at_boundary(P, place) & ~((least["gap"] >= 0.0) & (least["along"] > 0.0))
@@ -202,18 +203,18 @@ def classify_contacts(A, P, pairs, met, device="cpu"):
 
 
 def outer(A, a):
-    """Returns radii of balls about the origin that hold the shapes."""
+    """Returns radii of spheres about the origin that contain the shapes."""
     axes = np.eye(3)[None]
     return np.linalg.norm(np.maximum(support(A, a, axes), support(A, a, -axes)), axis=1)
 
 
 def check_points(A, P, pairs, met):
-    """Asserts that points lie on both, on a line along the normal of the patch, as far apart as the gap."""
+    """Asserts that points lie on both, on a line along the normal of the patch, and the gap apart."""
     b = pairs[1]
     good = met["status"] == MET
     u, n, gap = met["seed"]["u"][good], met["normal"][good], met["gap"][good]
     foot, normal = evaluate_surface(P, {name: value[good] for name, value in b.items()}, u[:, 0], u[:, 1])
     np.testing.assert_allclose(met["point_b"][good], foot, atol=1e-13)
-    # That of differences is known to 1e-10.
+    # Normals from numerical derivatives are accurate to 1e-10.
     np.testing.assert_allclose(n, normal, atol=1e-13 if hasattr(P, "derivatives") else 1e-10)
     np.testing.assert_allclose(met["point_a"][good] - met["point_b"][good], gap[:, None] * n, atol=1e-11)

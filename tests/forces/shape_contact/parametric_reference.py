@@ -1,9 +1,8 @@
-"""The least signed distance of a patch from a shape, independent of the solver: closed forms and a grid.
+"""Reference for the smallest signed distance of a patch from a shape, independent of the solver.
 
-Superellipsoids have no closed form: theirs are found by directions that bound distances from below.
-
-Distances are looked at over a grid, and searched from each of its minima there, without derivatives. What is found
-is a place of the patch: where it is nearer than a contact, that is not the nearest.
+Distances of most shapes are closed forms; those of superellipsoids are bounded by directions
+(``superellipsoid_distance``). The search evaluates a grid and refines each of its minima without derivatives. The
+result is a point of the patch: if it is nearer than a reported contact, that contact is wrong.
 """
 
 import functools
@@ -17,7 +16,7 @@ from warpcontact.kernels.shapes import shapes as S
 from warpcontact.kernels.shapes.torus import Torus
 
 vec5d = wp.types.vector(5, wp.float64)
-# Shapes whose distances are known, and their sizes in order.
+# Shapes with their sizes, in the order of the coefficients.
 SIZES = {
     S.Sphere: ("radius",), S.Plane: (), S.Ellipsoid: ("semi_axes",), S.Cylinder: ("radius", "half_length"),
     S.Capsule: ("radius", "half_length"), S.Cone: ("radius", "height"), S.RoundedBox: ("half_extents", "radius"),
@@ -25,20 +24,20 @@ SIZES = {
 }  # fmt: skip
 SPHERE, PLANE, ELLIPSOID, CYLINDER, CAPSULE, CONE, BOX, SUPER, RING = (wp.constant(i) for i in range(len(SIZES)))
 
-# The grid: 0.02 apart on most patches, where the edges of the smallest shapes are 0.15 long.
+# Number of grid cells: 0.02 apart on most patches; the smallest shapes have edges of 0.15.
 GRID = 96
-# Steps of the differences for normals, in terms of the parameters, and for slopes of distances [m].
+# Steps of the differences for normals, in the parameters, and for gradients of distances [m].
 STEP = wp.constant(wp.float64(1e-5))
 SLOPE = wp.constant(wp.float64(1e-6))
-# Distances of one place differ by less, where a compiler joins products and sums at one of two calls [m].
+# Distances of one point may differ by this much, because the compiler may use FMA in one of two calls [m].
 ROUNDING = wp.constant(wp.float64(1e-12))
-# No slope that is known.
+# Initial direction if no gradient is available.
 NOWHERE = wp.constant(wp.vec3d(0.0, 0.0, 1.0))
 
 
 @wp.func
 def out_of_box(a: wp.float64, b: wp.float64, c: wp.float64):
-    """By how much each coordinate is beyond its half side: the distance from the box."""
+    """Vector from the box to the point, in coordinates beyond the half sides."""
     zero = wp.float64(0.0)
     out = wp.vec3d(wp.max(a, zero), wp.max(b, zero), wp.max(c, zero))
     return wp.length(out) + wp.min(wp.max(a, wp.max(b, c)), zero)
@@ -52,10 +51,10 @@ def to_segment(x: wp.vec2d, a: wp.vec2d, b: wp.vec2d):
 
 @wp.func
 def to_ellipsoid(axes: wp.vec3d, x: wp.vec3d):
-    """By t, counted from −a² of the shortest axis, of the nearest point a² x/(t + a²).
+    """Nearest point a² x/(t + a²), with t counted from −a² of the shortest axis.
 
-    Halvings, then Newton's method. That does not overshoot from where the place is still beyond the surface: the
-    sum is convex and falls.
+    Bisection, then Newton's method. Newton does not overshoot from a side where the point is outside of the
+    surface, because the function is convex and decreasing.
     """
     least = wp.min(wp.min(axes[0], axes[1]), axes[2])
     low = wp.float64(0.0)
@@ -88,7 +87,7 @@ def to_ellipsoid(axes: wp.vec3d, x: wp.vec3d):
         if k != short:
             foot[k] = axes[k] * axes[k] * x[k] / (high + axes[k] * axes[k] - least * least)
             rest -= foot[k] * foot[k] / (axes[k] * axes[k])
-    # Near the middle of the shortest axis t is rounding: what is missing lies along it.
+    # Near the middle of the shortest axis t is below rounding; the missing component is along that axis.
     foot[short] = wp.sign(x[short]) * least * wp.sqrt(wp.max(rest, wp.float64(0.0)))
     scaled = wp.cw_div(x, axes)
     return wp.where(wp.dot(scaled, scaled) > wp.float64(1.0), wp.length(x - foot), -wp.length(x - foot))
@@ -96,20 +95,20 @@ def to_ellipsoid(axes: wp.vec3d, x: wp.vec3d):
 
 @wp.func
 def to_superellipsoid(s: vec5d, x: wp.vec3d, enough: wp.float64, known: wp.vec3d):
-    """The signed distance, or a bound of it that is enough, and its slope; tried first is ``known``."""
+    """Signed distance or a sufficient lower bound, and its gradient; the direction ``known`` is tried first."""
     return distance_lower_bound(wp.vec3d(s[0], s[1], s[2]), wp.vec2d(s[3], s[4]), known, x, enough)
 
 
 @wp.func
 def distance(kind: wp.int32, s: vec5d, x: wp.vec3d, enough: wp.float64, known: wp.vec3d):
-    """The signed distance of a place from a shape, in its frame, and its slope if that is needed to know it.
+    """Signed distance of a point from a shape, in its frame, and its gradient if that is available.
 
     Args:
-        kind: Of the shape.
-        s: Its sizes.
-        x: The place [m].
-        enough: If the distance is more than that, at least that is returned [m].
-        known: Slope somewhere near.
+        kind: Kind of shape.
+        s: Sizes of the shape.
+        x: The point [m].
+        enough: If the distance is larger, a lower bound of at least this value is returned [m].
+        known: Gradient at a point nearby.
     """
     zero = wp.float64(0.0)
     far = wp.float64(-1e9)
@@ -140,7 +139,7 @@ def distance(kind: wp.int32, s: vec5d, x: wp.vec3d, enough: wp.float64, known: w
 
 @wp.func
 def slope(kind: wp.int32, s: vec5d, x: wp.vec3d):
-    """The gradient of the signed distance."""
+    """Gradient of the signed distance."""
     far = wp.float64(wp.inf)
     by = wp.vec3d()
     if kind == SUPER:
@@ -155,18 +154,18 @@ def slope(kind: wp.int32, s: vec5d, x: wp.vec3d):
     return by
 
 
-# The least distance over a patch
+# Smallest distance over a patch
 
 
 @wp.struct
 class LowestPoint:
-    """The lowest place of a patch that was found."""
+    """The lowest point of a patch that was found."""
 
-    gap: wp.float64  # its distance; nothing was found below the bound if it is that [m]
+    gap: wp.float64  # its distance [m]; the bound, if there is no lower point
     u: wp.float64
     v: wp.float64
-    tilt: wp.float64  # slope of the distance along the patch: 0 where normals are parallel
-    along: wp.float64  # slope of the distance along the normal of the patch: −1 where normals face each other
+    tilt: wp.float64  # slope of the distance along the patch; 0 if normals are parallel
+    along: wp.float64  # slope of the distance along the normal of the patch; −1 if normals are opposite
 
 
 @functools.cache
@@ -208,7 +207,7 @@ def _kernels(P, grid):
         kind: wp.int32, s: vec5d, p: Of_b, x: wp.vec3d, q: wp.quatd, u: wp.float64, v: wp.float64,
         du: wp.float64, dv: wp.float64, by: wp.float64, known: wp.vec3d,
     ):  # fmt: skip
-        """The minimum that a search with ever shorter steps comes to."""
+        """Minimum found by a pattern search with decreasing steps."""
         best = LowestPoint()
         best.u = u
         best.v = v
@@ -222,12 +221,12 @@ def _kernels(P, grid):
             angle = wp.float64(0.37) * wp.float64(round_)
             far = size
             for _k in range(10):
-                # Around, by turns near and far.
+                # All around, alternately near and far.
                 angle += wp.float64(0.628318530718)
                 far = wp.float64(1.4) * size - far
                 to_u = best.u + far * du * wp.cos(angle)
                 to_v = best.v + far * dv * wp.sin(angle)
-                # As long as it leads down, on and on.
+                # Repeats the move while the distance decreases.
                 for _i in range(20):
                     at_u, at_v = within(to_u, to_v)
                     gap, n = at(kind, s, p, x, q, at_u, at_v, by, best.gap, n)
@@ -261,7 +260,7 @@ def _kernels(P, grid):
         best.gap = bound[i]
         known = NOWHERE
         if outer[i] < wp.float64(wp.inf):
-            # From the node nearest to the middle of the shape: what is found tells which others need no search.
+            # Starts at the grid node nearest to the center of the shape. Its distance excludes most other nodes.
             nearest = wp.float64(wp.inf)
             u_near = wp.float64(0.0)
             v_near = wp.float64(0.0)
@@ -283,7 +282,7 @@ def _kernels(P, grid):
                 v = v_0 + dv * wp.float64(k)
                 place = position(p[i], u, v)
                 near = wp.length(place - x[i]) - outer[i] - by[i]
-                # Half the diagonal of a cell, generously.
+                # Half the diagonal of a cell, with a margin.
                 spare = wp.float64(0.6) * (
                     wp.length(position(p[i], u + du, v) - place) + wp.length(position(p[i], u, v + dv) - place)
                 )
@@ -297,7 +296,7 @@ def _kernels(P, grid):
                             if least:
                                 at_u, at_v = within(u + side[0] * du, v + side[1] * dv)
                                 beside, _n = at(kind, s[i], p[i], x[i], q[i], at_u, at_v, by[i], gap, known)
-                                # Beyond an edge is the place itself.
+                                # If the search leads beyond an edge, the point itself is the minimum.
                                 least = beside >= gap - ROUNDING
                         if least:
                             now = searched(kind, s[i], p[i], x[i], q[i], u, v, du, dv, by[i], known)
@@ -331,18 +330,18 @@ def _kernels(P, grid):
 
 
 class Reference:
-    """Pairs of a shape and a patch, and what can be asked of them.
+    """Pairs of a shape and a patch, with searches for their smallest distance.
 
     Args:
-        A: Shape.
-        P: Patch.
+        A: Class of the shape.
+        P: Class of the patch.
         a: Parameters of the shapes, by name.
         b: Parameters of the patches.
         x: Origins of the shapes, (n, 3).
         q: Rotations of the shapes, (n, 4).
-        outer: Radii of balls around the origins that hold the shapes.
+        outer: Radii of spheres around the origins that contain the shapes.
         device: Warp device.
-        grid: Cells that each parameter's range is cut into.
+        grid: Number of cells per parameter.
     """
 
     def __init__(self, A, P, a, b, x, q, outer, device="cpu", grid=GRID):
@@ -366,14 +365,14 @@ class Reference:
         return wp.array(np.broadcast_to(values, self.count), dtype=wp.float64, device=self.device)
 
     def least(self, lowered, bound):
-        """Returns the lowest places below bounds, of patches lowered along their normals."""
+        """Returns the lowest points below ``bound``, of patches lowered along their normals."""
         found = wp.zeros(self.count, dtype=LowestPoint, device=self.device)
         inputs = [*self.given, self.outer, self._array(lowered), self._array(bound), found]
         wp.launch(self.kernels[0], self.count, inputs=inputs, device=self.device)
         return found.numpy()
 
     def look(self, u, lowered):
-        """Returns places of patches, lowered along their normals, and their distances from the shapes."""
+        """Returns points of patches, lowered along their normals, and their distances from the shapes."""
         place = wp.zeros(self.count, dtype=wp.vec3d, device=self.device)
         gap = wp.zeros(self.count, dtype=wp.float64, device=self.device)
         inputs = [*self.given, wp.array(u, dtype=wp.vec2d, device=self.device), self._array(lowered), place, gap]

@@ -1,15 +1,15 @@
-"""Signed distances from superellipsoids, independent of the solver, by directions that bound them.
+"""Signed distances from superellipsoids by directions that bound them; independent of the solver.
 
-The signed distance of a place y from a convex body is the largest n·y − h(n) over all directions n, with the
-support function h. So one direction is enough to show that a place is not nearer than some distance, wherever it
-comes from; and what is found is never more than the distance.
+The signed distance of a point y from a convex body is the maximum of n·y − h(n) over all directions n, with the
+support function h. Each direction gives a lower bound, so one direction can prove that a point is at least as far
+as some distance. The result never exceeds the distance.
 """
 
 import warp as wp
 
-# Angles of starts in the octant of y: 15° apart, from one plane of symmetry to the other.
+# Number of angles of start directions in the octant of y: 15° apart, between the planes of symmetry.
 STARTS = wp.constant(7)
-# By how much a start may be worse than what it leads to, of the size of the body: ½ (7.5° √2)².
+# Upper bound on the improvement from a start, relative to the size of the body: ½ (7.5° √2)².
 SPARE = wp.constant(wp.float64(0.017))
 mat77d = wp.types.matrix((7, 7), wp.float64)
 
@@ -25,7 +25,7 @@ def norm(x: wp.float64, y: wp.float64, exponent: wp.float64):
 
 @wp.func
 def separation(axes: wp.vec3d, exponents: wp.vec2d, n: wp.vec3d, y: wp.vec3d):
-    """How far y is beyond the plane across n that touches a superellipsoid: its support is the dual norm."""
+    """Distance of y beyond the support plane across n of a superellipsoid; the support function is the dual norm."""
     two = wp.float64(2.0)
     flat = norm(wp.abs(axes[0] * n[0]), wp.abs(axes[1] * n[1]), two / (two - exponents[1]))
     return wp.dot(n, y) - norm(flat, wp.abs(axes[2] * n[2]), two / (two - exponents[0]))
@@ -36,9 +36,9 @@ def ascend(
     axes: wp.vec3d, exponents: wp.vec2d, start: wp.vec3d, y: wp.vec3d, longest: wp.float64, shortest: wp.float64,
     enough: wp.float64,
 ):  # fmt: skip
-    """The largest value that a search with ever shorter steps comes to, or one that is enough; its direction.
+    """Maximum found by a pattern search, or a sufficient value, and its direction.
 
-    Coordinates of y are not negative, nor are those of the direction.
+    Components of y and of the direction are not negative.
     """
     n = start
     value = separation(axes, exponents, n, y)
@@ -60,7 +60,8 @@ def ascend(
             if now > value:
                 value = now
                 best = m
-        # Along the edges of nearly sharp bodies, where a component of n is 0 or all but constant, and onto them.
+        # Steps along the edges of nearly sharp bodies, where a component of n is 0 or almost constant, and onto
+        # them.
         for i in range(3):
             axis = wp.vec3d()
             axis[i] = wp.float64(1.0)
@@ -81,7 +82,7 @@ def ascend(
         if wp.length(step) == wp.float64(0.0):
             size = wp.float64(0.5) * size
         n = best
-        # On and on, as long as that leads up.
+        # Repeats the step while the value increases.
         while wp.length(step) > wp.float64(0.0):
             m = wp.normalize(n + step)
             now = separation(axes, exponents, m, y)
@@ -91,7 +92,7 @@ def ascend(
                 n = m
             else:
                 step = wp.vec3d()
-        # Beyond a plane of symmetry there may be a summit, lower than its image.
+        # Across a plane of symmetry there may be a maximum that is lower than its mirror image.
         m = wp.vec3d(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2]))
         now = separation(axes, exponents, m, y)
         if now > value:
@@ -109,23 +110,23 @@ def octant(i: wp.int32, k: wp.int32):
 
 @wp.func
 def distance_lower_bound(axes: wp.vec3d, exponents: wp.vec2d, known: wp.vec3d, y: wp.vec3d, enough: wp.float64):
-    """The signed distance of y, or a bound from below that is enough, and a direction that tells it.
+    """Signed distance of y, or a sufficient lower bound, and its direction.
 
-    Bodies are the same in all octants: that of y has the best direction.
+    The body is symmetric, so the octant of y contains the best direction.
 
     Args:
         axes: Semi-axes [m].
         exponents: ε₁ and ε₂.
         known: Direction that is tried first.
-        y: Place in the frame of the body [m].
-        enough: No more is asked [m].
+        y: Point in the frame of the body [m].
+        enough: The search stops at this value [m].
     """
     side = wp.vec3d(wp.sign(y[0]), wp.sign(y[1]), wp.sign(y[2]))
     z = wp.cw_mul(side, y)
     n = wp.vec3d(wp.abs(known[0]), wp.abs(known[1]), wp.abs(known[2]))
     value = separation(axes, exponents, n, z)
     if value < enough:
-        # From outside there is but one way, from within several: the best of the starts lead to the best of all.
+        # From outside there is one maximum, from inside several. The best starts lead to the global one.
         top = wp.float64(-wp.inf)
         values = mat77d()
         for i in range(STARTS):
@@ -135,7 +136,7 @@ def distance_lower_bound(axes: wp.vec3d, exponents: wp.vec2d, known: wp.vec3d, y
         top -= SPARE * wp.length(axes)
         for i in range(STARTS):
             for k in range(STARTS):
-                # All of the last are the pole.
+                # All starts of the last row are the pole.
                 if values[i, k] > top and value < enough and (i < STARTS - 1 or k == 0):
                     now, m = ascend(axes, exponents, octant(i, k), z, wp.float64(0.1), wp.float64(3e-4), enough)
                     if now > value:

@@ -1,4 +1,4 @@
-"""Contacts of two smooth shapes in a scene: against worked numbers, closed forms, and the same on a mesh."""
+"""Shape contact in a scene against hand values, closed forms, and the same contact on a mesh."""
 
 import itertools
 import json
@@ -49,7 +49,7 @@ def test_tilted_ellipsoids_match_reference(oracle, device, precision, tolerance)
     for quantity, key in (("gap", "gap"), ("point_a", "P_j"), ("point_b", "P_i"), ("normal", "n_i")):
         expected_value = [oracle[name][key] for name in NAMES]
         np.testing.assert_allclose(model.sensor(f"touch.{quantity}"), expected_value, rtol=0, atol=tolerance)
-    # Approach at K is that of the points, whichever: they lie on one normal.
+    # The approach speed at K equals that of both points, because they lie on one normal.
     rates = [-oracle[name]["velocity"]["gap_rate"] for name in NAMES[1:]]
     np.testing.assert_allclose(model.sensor("touch.approach_speed")[1:], rates, rtol=0, atol=tolerance)
     assert model.sensor("touch.status").tolist() == [
@@ -68,7 +68,8 @@ def test_pose_derivatives_match_differences_of_sensors(device):
     model = two_ellipsoids(device, "float64", envs=1)
     model["b.position"] = (0.05, 0.03, 0.29)
     for quantity in ("gap", "normal", "point_a", "point_b"):
-        # By what carries the first shape, b: positions, then turns about its centre of mass.
+        # Derivatives with respect to the body of the first shape, b: position, then rotation about its center of
+        # mass.
         for key, given in (("position", model["b.position"]), ("orientation", model["b.orientation"])):
             by = "position" if key == "position" else "rotation"
             expected_value = model.sensor(f"touch.{quantity}_by_{by}_a")[0]
@@ -82,7 +83,7 @@ def test_pose_derivatives_match_differences_of_sensors(device):
                         model["b.orientation"] = turned.as_quat()
                     ends.append(model.sensor(f"touch.{quantity}")[0])
                 model[f"b.{key}"] = given
-                # Central differences: the square of the step, and the rounding of a sensor over it.
+                # Central differences: error of the square of the step, and of rounding divided by the step.
                 difference = (ends[1] - ends[0]) / 2e-5
                 np.testing.assert_allclose(expected_value[..., axis], difference, rtol=1e-6, atol=1e-7)
     axes = model["shape_a.semi_axes"]
@@ -101,7 +102,7 @@ def test_pose_derivatives_match_differences_of_sensors(device):
 
 
 def sphere_on_plane(smooth, device, precision, envs=1, bullet=False):
-    """A ball above a plane; with a bullet beside it that flies between plates in all environments but one."""
+    """A ball above a plane; ``bullet`` adds a body that flies between plates in all environments but one."""
     scene = wc.Scene()
     moving = {"linear_velocity": (1.0, 0.2, 0), "angular_velocity": (0, 3.0, 5.0)}
     ball = scene.add_body(0.5, (5e-4, 5e-4, 5e-4), (0, 0, 0.06), **moving, name="ball")
@@ -130,13 +131,13 @@ def test_sphere_shape_on_plane_matches_flat_mesh(device):
     runs = []
     for smooth in (True, False):
         sim = wc.Simulation(sphere_on_plane(smooth, device, "float64"), dt=2e-4)
-        # It falls, slides, twists and rolls, all by formulas of which one remembers.
+        # The ball falls, slides, spins and rolls, with models of which one has history.
         names = [f"touch.{name}" for name in SENSORS]
         runs.append(sim.run(0.5, [*names, "ball.angular_velocity"], every=1e-2))
     smooth, mesh = runs
     assert (smooth["touch.normal_force"] > 0).sum() > 20
     for name in (*names, "ball.angular_velocity"):
-        # Both take the same numbers through the same formulas; the mesh rounds its corners once more.
+        # Both use the same values in the same formulas; the mesh rounds its vertices in addition.
         scale = float(np.abs(mesh[name]).max())
         np.testing.assert_allclose(smooth[name], mesh[name], rtol=0, atol=1e-9 * scale, err_msg=name)
 
@@ -163,7 +164,7 @@ def test_impact_of_two_sphere_shapes_conserves_momentum_and_has_restitution(devi
     sim.step(1000)
     assert (model.sensor("touch_0.gap") > 0).all()
     velocity = [model.sensor(f"ball_{number}.linear_velocity")[:, 0] for number in range(2)]
-    # Steps are 1/350 of the contact; semi-implicit Euler is off by their square.
+    # Steps are 1/350 of the contact; the error of semi-implicit Euler is their square.
     np.testing.assert_allclose((velocity[1] - velocity[0]) / 1.5, wanted, atol=2e-3)
     np.testing.assert_allclose(model.sensor("scene.linear_momentum"), momentum, atol=1e-12)
     np.testing.assert_allclose(model.sensor("scene.kinetic_energy")[0], energy[0], rtol=1e-4)
@@ -177,14 +178,15 @@ def test_chain_of_sphere_shapes_conserves_momentum_and_energy(device):
     assert model.sensor("scene.linear_momentum")[0, 0] == pytest.approx(1.0, abs=1e-12)
     # Symplectic steps of 1/700 of a contact.
     assert model.sensor("scene.kinetic_energy")[0] == pytest.approx(0.5, rel=1e-4)
-    # They touch at once: the last does not take all of the speed, as it would in impacts of two after one another.
+    # All contacts act at the same time, so the last sphere does not take all of the speed, unlike in sequential
+    # impacts.
     last = model.sensor("ball_4.linear_velocity")[0, 0]
     assert last == pytest.approx(chain_of_hertz_springs(5)[-1], abs=1e-4)
     assert last < 0.99
 
 
 def chain_of_hertz_springs(count):
-    """Returns the velocities of balls of 1 kg that just touch, after the first came with 1 m/s."""
+    """Returns the velocities of touching balls of 1 kg after the first arrives with 1 m/s."""
 
     def rates(_, state):
         x, v = np.split(state, 2)
@@ -211,15 +213,15 @@ def test_meshed_spheres_converge_to_the_sphere_shape(device):
         turns = Rotation.random(20, random_state=1)
         model["ball.position"] = turns.apply(place)
         error = np.abs(model.sensor("mesh.gap") - model.sensor("smooth.gap"))
-        # To the millimetre of the facets; of the sphere exactly.
+        # To the millimeter of the facets; exact for the sphere.
         np.testing.assert_allclose(model.sensor("smooth.gap"), np.linalg.norm(place) - 1.2, atol=1e-14)
         errors.append(error.mean())
-    # Half the edge, a quarter of the error.
+    # Halving the edge length divides the error by four.
     np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2.0, atol=0.2)
 
 
 def two_ellipsoids(device, precision="float32", envs=4):
-    """Two ellipsoids that collide obliquely, spin, stick, slide and part."""
+    """Two ellipsoids that collide obliquely, spin, stick, slide and separate."""
     scene = wc.Scene(gravity=(0, 0, 0))
     moving = {"linear_velocity": (0.5, 0.1, -2.0), "angular_velocity": (2, 1, 5)}
     bodies = [
@@ -253,7 +255,7 @@ def test_shape_contact_conserves_momentum(device):
     assert (recording["touch.normal_force"].max("time") > 0).all()
     assert (np.abs(recording["touch.friction_force"]).max(("time", "axis")) > 0).all()
     np.testing.assert_allclose(model.sensor("scene.linear_momentum"), before["linear_momentum"], atol=1e-12)
-    # The rotation of a step is integrated to second order; a couple left over would be of the size of the impact.
+    # Rotations are integrated to second order. An unbalanced torque would be of the size of the impact.
     np.testing.assert_allclose(model.sensor("scene.angular_momentum"), before["angular_momentum"], atol=1e-4)
 
 
@@ -292,7 +294,7 @@ def test_reset_clears_shape_contact_history_of_masked_environments(device):
 
 @pytest.mark.slow
 def test_shape_contacts_on_several_devices_equal_one_device(device):
-    """What is remembered, found and counted of each environment is that of the model that is not split."""
+    """Contact history, results and failure counts of each environment equal those of the model on one device."""
     runs = []
     for where in (device, [device, device]):
         model = two_ellipsoids(where, envs=5)
@@ -319,7 +321,7 @@ def test_shape_contacts_on_several_devices_equal_one_device(device):
 
 
 def test_shape_contact_with_substeps_has_the_history_of_mesh_contact(device):
-    """Where a bullet crosses plates, its steps do the same to a shape contact as to that of a mesh."""
+    """If a bullet crosses plates, substeps have the same effect on a shape contact as on a mesh contact."""
     names = [f"touch.{name}" for name in (*SENSORS, "friction.spring")]
     runs = []
     for smooth in (True, False):
@@ -335,7 +337,7 @@ def test_shape_contact_with_substeps_has_the_history_of_mesh_contact(device):
         assert scale > 0, name
         # As without the bullet.
         np.testing.assert_allclose(smooth[name], mesh[name], rtol=0, atol=1e-9 * scale, err_msg=name)
-    # Shorter steps do tell.
+    # Shorter steps do change the result.
     force = smooth["touch.normal_force"].values
     assert np.abs(force[:, 0] - force[:, 1]).max() > 1e-6 * force.max()
 
@@ -389,7 +391,7 @@ def test_shape_contact_gap_is_invariant_far_from_the_origin(device):
         model["ball.position"] = (far, -far, far + 0.0499)
         gaps.append(model.sensor("touch.gap")[0])
     assert gaps[0] == pytest.approx(-1e-4, rel=1e-5)
-    # What two floats of single precision leave of 3000 km, 2^-48 of it.
+    # Two float32 numbers resolve 2^-48 of 3000 km.
     assert gaps[1] == pytest.approx(gaps[0], abs=2e-8)
 
 
@@ -408,14 +410,14 @@ def test_hertz_stiffness_of_crossed_cylinder_shapes_matches_closed_form(device):
     law = wc.laws.HertzElastic(modulus=1e9)
     depth, quarter = 1e-4, (0.5**0.5, 0, 0, 0.5**0.5)
     for number, (angle, radii) in enumerate([(0.5 * np.pi, (0.1, 0.1)), (np.pi / 3, (0.1, 0.05))]):
-        # One lies along y, the other is turned from there about z.
+        # One axis is along y, the other is rotated from there about z.
         body = scene.add_body(1.0, (1.0, 1.0, 1.0), (number, 0, sum(radii) - depth), name=f"body_{number}")
         turned = (Rotation.from_rotvec((0, 0, angle)) * Rotation.from_quat(quarter)).as_quat()
         lower = scene.add_shape(None, wc.shapes.Cylinder(radii[0], 1.0), (number, 0, 0), quarter)
         upper = scene.add_shape(body, wc.shapes.Cylinder(radii[1], 1.0), (0, 0, 0), turned)
         scene.add_shape_contact(upper, lower, wc.ContactMaterial(law=law), name=f"touch_{number}")
     model = scene.build(1, device, "float64")
-    # Of equal radii at right angles the gap is that of a sphere on a plane.
+    # With equal radii at right angles, the stiffness is that of a sphere on a plane.
     expected_value = 4 / 3 * 1e9 * np.sqrt(0.1) * depth**1.5
     assert model.sensor("touch_0.normal_force")[0] == pytest.approx(expected_value, rel=1e-6)
     # A + B and B − A of the two, after Johnson, Contact Mechanics (4.3).
@@ -424,13 +426,13 @@ def test_hertz_stiffness_of_crossed_cylinder_shapes_matches_closed_form(device):
     curvatures = [0.5 * (first + second - apart), 0.5 * (first + second + apart)]
     found = [model.sensor(f"touch_1.curvature_{number}")[0] for number in (1, 2)]
     np.testing.assert_allclose(found, curvatures, rtol=1e-9)
-    # One plane strain modulus for all: E = 1 − ν², the other rigid.
+    # The same plane-strain modulus for all: E = 1 − ν², the other body rigid.
     elliptic = wc.laws.Hertz.elliptic(1e9, 0.0, 1 / curvatures[0], 1 / curvatures[1])
     assert model.sensor("touch_1.normal_force")[0] == pytest.approx(elliptic.stiffness * depth**1.5, rel=1e-5)
 
 
 class Odd(wc.shapes.Shape):
-    """What says of itself that it is a ball, with a support function that has no maximum."""
+    """Inherits the kind of a sphere, with a support function that has no maximum."""
 
     radius: float = wc.parameter("m", "radius", above=0.0)
 

@@ -1,4 +1,4 @@
-"""Contact kinematics of convex shapes: against the oracle, closed forms, brute force, and in every alignment."""
+"""Contact kinematics of convex shapes against the oracle, closed forms, brute force, and in special alignments."""
 
 import itertools
 import json
@@ -37,7 +37,7 @@ def names(pair):
     return "-".join(shape.__name__ for shape in pair)
 
 
-# The oracle
+# Oracle
 
 AXES_I, AXES_J = {"semi_axes": (1.0, 0.6, 0.4)}, {"semi_axes": (0.8, 0.5, 0.3)}
 
@@ -49,7 +49,7 @@ def oracle(shared):
 
 
 def placed(case):
-    """Place and rotation of ellipsoid j in the frame of i."""
+    """Position and rotation of ellipsoid j in the frame of i."""
     A_i, A_j = np.array(case["A_i"]), np.array(case["A_j"])
     return A_i.T @ case["c_j"], Rotation.from_matrix(A_i.T @ A_j).as_quat()
 
@@ -117,7 +117,7 @@ def test_shape_contacts_plane_at_its_lowest_point(shape, device):
     np.testing.assert_allclose(found["gap"], x[:, 2] - heights(shape, values, down)[:, 0], atol=1e-14)
     np.testing.assert_allclose(found["point_a"][:, 2], found["gap"], atol=1e-14)
     np.testing.assert_array_equal(found["point_b"][:, 2], 0.0)
-    # The other way round, in the frame of the shape.
+    # The exchanged pair, in the frame of the other shape.
     back = Rotation.from_quat(q).inv()
     other = solved(sh.Plane, shape, {}, values, -back.apply(x), back.as_quat(), device=device)
     np.testing.assert_allclose(other["gap"], found["gap"], atol=1e-14)
@@ -133,7 +133,7 @@ def test_plane_plane_pair_is_refused():
 # Brute force
 
 
-# Every shape with itself and with a box; thorough checks take all pairs.
+# Each shape with itself and with a box; all pairs with --thorough.
 @pytest.mark.parametrize(
     "pair",
     [
@@ -148,7 +148,7 @@ def test_gap_is_the_maximum_over_all_directions(pair, device):
 
 
 INACTIVE = [
-    # Pairs of 20 000: a better way apart close to the normal of a disc, two of them, and a climb of many steps.
+    # Pairs among 20 000: a better direction close to the normal of a disk (two cases), and a search of many steps.
     (sh.Cylinder, sh.RoundedBox, 100, 7052),
     (sh.Cone, sh.Cone, 104, 4475),
     (sh.Superellipsoid, sh.Cone, 104, 12053),
@@ -165,7 +165,7 @@ def test_global_separation_direction_is_found_if_hidden(A, B, seed, which, devic
 
 
 def test_cone_tips_in_overlap_converge_quickly(device):
-    """As long as tips are all that touch, g is as curved one way as the other, but for rounding."""
+    """While only tips overlap, g is equally curved in both directions, except for rounding."""
     a, b, x, q = random_pairs(sh.Cone, sh.Cone, 20_000, seed=100)
     pair = (sh.Cone, sh.Cone, *(chosen(values, [14490]) for values in (a, b)), x[[14490]], q[[14490]])
     assert solved(*pair, device=device)[0]["iterations"] < 30
@@ -216,11 +216,11 @@ def test_gap_rate_matches_point_velocities(pair, device):
     after = solved(*pair, a, b, x + h * v, (turn * Rotation.from_quat(q)).as_quat(), device=device)
     rate = np.sum(here["normal"] * (v + np.cross(w, here["point_a"] - x)), axis=1)
     measured = (after["gap"] - before["gap"]) / (2.0 * h)
-    # Where another pair of features takes over within the step, the gap has a kink.
+    # If another pair of features becomes nearest within the step, the gap has a kink.
     same = np.linalg.norm(after["normal"] - before["normal"], axis=1) < 1e-4
     assert same.mean() > 0.95
     np.testing.assert_allclose(measured[same], rate[same], atol=2e-4)
-    # Rounding 1e-15/h and curvature; a step that crosses an edge is off by its turn.
+    # Rounding 1e-15/h and curvature; a step across an edge is off by its angle.
     assert np.median(np.abs(measured - rate)) < 1e-8
 
 
@@ -236,7 +236,7 @@ def test_shape_pair_is_symmetric(pair, device):
     other = solved(B, A, b, a, -back.apply(x), back.as_quat(), device=device)
     np.testing.assert_allclose(other["gap"], found["gap"], atol=1e-11)
     normal = -Rotation.from_quat(q).apply(other["normal"])
-    # Two ways apart of one length are as good as each other.
+    # Two directions of equal separation are equally valid.
     along = widths(A, B, a, b, x, Rotation.from_quat(q).as_matrix(), normal[:, None])[:, 0]
     np.testing.assert_allclose(along, found["gap"], atol=1e-11)
 
@@ -256,7 +256,7 @@ def test_shape_pair_gap_is_invariant_to_scale(pair, scale, device):
 
 
 def test_gap_is_accurate_for_size_ratio_of_a_million(device):
-    """Sizes that differ by a million: the gap is as fine as rounding of the large one."""
+    """With sizes that differ by a million, the gap is accurate to rounding of the larger one."""
     rng = np.random.default_rng(10)
     small = {"semi_axes": 1e-6 * rng.uniform(0.5, 1.0, (300, 3))}
     large = {"semi_axes": rng.uniform(0.5, 1.0, (300, 3))}
@@ -281,7 +281,7 @@ CONE = {"radius": 0.5, "height": 1.0}
 THIN = {"semi_axes": (1.0, 0.6, 0.4)}
 DIAGONAL = np.sqrt(0.5)
 ALIGNED = [
-    # a, b, their parameters, place and rotation of a, gap, normal or None where several are as good
+    # a, b, their parameters, position and rotation of a, gap, normal or None if it is not unique.
     (sh.Cylinder, sh.Cylinder, CYLINDER, CYLINDER, (0, 0, 1.9), UPRIGHT, -0.1, (0, 0, 1)),
     (sh.Cylinder, sh.Cylinder, CYLINDER, CYLINDER, (0.3, 0.1, 2.0), UPRIGHT, 0.0, (0, 0, 1)),
     (sh.Cylinder, sh.Cylinder, CYLINDER, CYLINDER, (0.9, 0, 0.5), UPRIGHT, -0.1, (1, 0, 0)),
@@ -321,7 +321,7 @@ def test_aligned_shapes_match_closed_form(A, B, a, b, x, q, gap, normal, device)
 
 
 def test_parallel_faces_contact_within_both_faces(device):
-    """Displaced bodies touch at a point common to both faces, aligned ones in the middle."""
+    """Displaced bodies touch at a point common to both faces, aligned ones at the center."""
     x = np.array([[0.0, 0.0, 1.35], [0.4, 0.0, 1.35], [0.9, -1.1, 1.35]])
     found = solved(sh.RoundedBox, sh.RoundedBox, BOX, BOX, x, UPRIGHT, device=device)
     np.testing.assert_allclose(found["point_b"][:, :2], 0.5 * x[:, :2], atol=1e-13)
@@ -336,7 +336,7 @@ def test_parallel_faces_contact_within_both_faces(device):
 @pytest.mark.parametrize("angle", [1e-15, 1e-12, 1e-9, 1e-6, 1e-3])
 @pytest.mark.parametrize("pair", [(sh.Cylinder, CYLINDER), (sh.RoundedBox, BOX)], ids=["cylinder", "box"])
 def test_nearly_parallel_faces_contact_at_an_edge(pair, angle, device):
-    """Tilted a little, the lowest corner or point of the rim is what touches."""
+    """With a small tilt, the contact is at the lowest vertex or point of the circular edge."""
     shape, values = pair
     q = Rotation.from_rotvec([0.0, angle, 0.0]).as_quat()
     height = values["half_length"] if shape is sh.Cylinder else values["half_extents"][2]

@@ -1,4 +1,4 @@
-"""Many random pairs of every combination of convex shapes: none without an answer, none with a wrong one."""
+"""Many random pairs of all combinations of convex shapes: all are solved, and all results are correct."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""Curvatures of shapes and pairs: differences of the distance, closed forms, and Hertz stiffness from them."""
+"""Curvatures of shapes and pairs: differences of the distance, closed forms, and Hertz stiffness."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def curvatures(shape, points, normals, device, u=None):
 
 
 def gradient(shape, points, h=1e-6):
-    """Returns the direction in which the distance grows."""
+    """Returns the gradient direction of the distance."""
     steps = h * np.eye(3)
     slope = [signed_distance(shape, points + e) - signed_distance(shape, points - e) for e in steps]
     n = np.stack(slope, -1)
@@ -48,7 +48,7 @@ def gradient(shape, points, h=1e-6):
 
 
 def surface_points(shape, count=40):
-    """Points of a surface and their normals, from random places near it."""
+    """Points of a surface and their normals, from random points near it."""
     random = np.random.default_rng(11)
     points = random.normal(size=(count, 3))
     points *= 0.6 / np.linalg.norm(points, axis=1, keepdims=True)
@@ -86,11 +86,11 @@ def test_curvatures_of_faces_edges_and_tips_are_correct(device):
     k, along = pair(cylinder, (0.2, 0, 0.1), out)
     np.testing.assert_allclose(k, (0, 5), atol=1e-15)
     np.testing.assert_allclose(along, up, atol=1e-15)
-    # A rim is as bent as its circle in the plane of the normal (Meusnier).
+    # At a circular edge, the curvature is that of its circle in the plane of the normal (Meusnier).
     k, along = pair(cylinder, (0.2, 0, 0.3), slanted)
     np.testing.assert_allclose(k, (0.6 / 0.2, INF))
     np.testing.assert_allclose(along, (0, 1, 0), atol=1e-15)
-    # Half-way up a cone of slope 3:4 its normal section has the radius ρ/cos.
+    # Halfway up a cone of slope 3:4, the normal section has the radius ρ/cos.
     k, along = pair(cone, (0.15, 0, 0.2), (0.8, 0, 0.6))
     np.testing.assert_allclose(k, (0, 0.8 / 0.15), atol=1e-15)
     np.testing.assert_allclose(along, (0.6, 0, 0.8), atol=1e-12)
@@ -115,7 +115,7 @@ def test_superellipsoid_curvature_matches_its_equation(device):
         x, y, z = (np.abs(p) / shape.semi_axes).T
         return (x ** (2 / e_2) + y ** (2 / e_2)) ** (e_2 / e_1) + z ** (2 / e_1)
 
-    # The equation is of degree 2/e₁ in the size.
+    # The equation is homogeneous of degree 2/e₁ in the size.
     points = points / inside(points)[:, None] ** (e_1 / 2)
 
     def normal(p, h=1e-6):
@@ -133,7 +133,7 @@ def test_superellipsoid_curvature_matches_its_equation(device):
 @pytest.mark.parametrize(
     ("exponents", "at_pole", "at_side", "between"),
     [
-        # Sections by the power 2/e: flat below 1, a corner above.
+        # Sections with the exponent 2/e: flat for e < 1, a vertex for e > 1.
         ((1.0, 1.0), (1.2, 1.875), (1.6, 40 / 9), None),
         ((1.0, 0.6), (1.2, 1.875), (0.0, 40 / 9), None),
         ((0.7, 0.6), (0.0, 0.0), (0.0, 0.0), 0.0),
@@ -148,12 +148,12 @@ def test_superellipsoid_curvature_is_continuous_at_symmetry_planes(exponents, at
     def one(point, normal):
         found = curvatures(shape, np.array([point], float), np.array([normal], float), device)
         k = np.array([found["k_1"][0], found["k_2"][0]])
-        # On an edge it is only nearly infinite.
+        # On an edge, the curvature is large instead of infinite because of rounding.
         return np.where(k > 1e12, INF, k)
 
     np.testing.assert_allclose(one((0, 0, c), (0, 0, 1)), at_pole, rtol=1e-12)
     np.testing.assert_allclose(one((0, b, 0), (0, 1, 0)), at_side, rtol=1e-12)
-    # In the plane x = 0 the curvature of the section y, z is one of the two, across it the other.
+    # In the plane x = 0, one principal curvature is that of the section y, z; the other is across it.
     e = exponents[0]
     y = 0.6
     z = (1.0 - y ** (2 / e)) ** (e / 2)
@@ -174,7 +174,7 @@ def test_parametric_surface_curvature_is_correct_for_hollows_and_saddles(device)
     slope = np.column_stack([-0.8 * x, 0.5 * y, np.ones(2)])
     size = np.linalg.norm(slope, axis=1)
     found = curvatures(sheet, points, slope / size[:, None], device, u)
-    # Out of the hollow the curvature is negative. Of z = f(x, y): Gaussian and mean curvature.
+    # Seen from the concave side the curvature is negative. For z = f(x, y): Gaussian and mean curvature.
     f_x, f_y = 0.8 * x, -0.5 * y
     gauss = 0.8 * -0.5 / size**4
     mean = -((1 + f_y**2) * 0.8 + (1 + f_x**2) * -0.5) / (2 * size**3)
@@ -184,7 +184,7 @@ def test_parametric_surface_curvature_is_correct_for_hollows_and_saddles(device)
 
 
 def bent(a, b, x, q, device):
-    """Returns the meetings of a pair, its curvatures, and K/E* of Hertz contact from them."""
+    """Returns the contacts of a pair, their curvatures, and K/E* of Hertz contact."""
     of_pair, of_curves = pair_function(type(a), type(b)), pair_curvature(type(a), type(b))
     P_a, P_b = (coefficient_struct(type(s), wp.float64) for s in (a, b))
     contact = shape_contacts(a, b, x, q, device, of_pair)
@@ -212,7 +212,8 @@ def test_crossed_cylinder_stiffness_matches_closed_form(device):
     """At an angle φ: A + B = ½ (1/R₁ + 1/R₂), B − A = ½ √(1/R₁² + 1/R₂² + 2 cos 2φ/(R₁ R₂)) (Johnson 4.1)."""
     a, b = S.Cylinder(0.2, 1.0), S.Cylinder(0.5, 1.0)
     angle = np.radians([90.0, 60.0, 30.0, 10.0])
-    # Both lie level, a across b in the middle: a's axis turned to the horizontal plane of b's frame.
+    # Both are horizontal, a across the middle of b: the axis of a is rotated into the horizontal plane of b's
+    # frame.
     x = np.tile([0.69, 0.0, 0.0], (4, 1))
     q = np.column_stack([np.sin(angle / 2), 0 * angle, 0 * angle, np.cos(angle / 2)])
     contact, found, stiffness = bent(a, b, x, q, device)
@@ -226,7 +227,7 @@ def test_crossed_cylinder_stiffness_matches_closed_form(device):
 
 
 def test_ellipsoid_tip_stiffness_matches_closed_form(device):
-    """Along x they touch at the ends: radii b²/a and c²/a of each, turned against each other by φ."""
+    """Contact of the tips along x: radii b²/a and c²/a of each, rotated against each other by φ."""
     a, b = S.Ellipsoid((0.3, 0.4, 0.2)), S.Ellipsoid((0.5, 0.3, 0.25))
     angle = np.radians([0.0, 25.0, 90.0])
     q = np.column_stack([np.sin(angle / 2), 0 * angle, 0 * angle, np.cos(angle / 2)])

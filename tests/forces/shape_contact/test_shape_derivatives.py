@@ -1,4 +1,4 @@
-"""Derivatives of contacts of smooth shapes against central differences of the contacts themselves."""
+"""Derivatives of shape contacts against central differences of the contacts."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ PAIRS = [
 
 
 def gradients_of(a, b, x, q, contact, device):
-    """Returns the derivatives in the frame of b, rotations about the origins of the shapes."""
+    """Returns the derivatives in the frame of b, with rotations about the origins of the shapes."""
     bent = pair_curvature(type(a), type(b))
     P_a, P_b = (coefficient_struct(type(s), wp.float64) for s in (a, b))
 
@@ -45,7 +45,7 @@ def gradients_of(a, b, x, q, contact, device):
 
 
 def poses(a, b, random):
-    """Returns poses near touch, some apart and some in overlap."""
+    """Returns poses near contact, separated and overlapping."""
     q = random_rotations(random, COUNT)
     if isinstance(b, Quadric):
         x = np.column_stack([random.uniform(-0.3, 0.3, (COUNT, 2)), random.uniform(0.1, 0.5, COUNT)])
@@ -62,7 +62,7 @@ def turn(axis, angle):
 
 
 def product(p, q):
-    """Quaternion of the rotation q and then p."""
+    """Quaternion of the rotation q followed by p."""
     return np.concatenate(
         [
             p[3] * q[..., :3] + q[..., 3:] * p[:3] + np.cross(p[:3], q[..., :3]),
@@ -77,7 +77,7 @@ def test_shape_pose_derivatives_match_central_differences(a, b, device):
     random = np.random.default_rng(2)
     x, q = poses(a, b, random)
     of_pair = pair_function(type(a), type(b)) if a.convex and b.convex else None
-    # Where b goes, everything is seen from: 1 pose as it is, and 24 that are moved a little.
+    # Results are in the frame of b, so they are transformed if b moves: 1 original pose and 24 perturbed ones.
     moved_x, moved_q, b_place, b_turn = [x], [q], [np.zeros(3)], [np.array([0, 0, 0, 1.0])]
     for motion in range(12):
         for sign in (1, -1):
@@ -108,8 +108,8 @@ def test_shape_pose_derivatives_match_central_differences(a, b, device):
         pairs = values[1:].reshape(12, 2, *values.shape[1:])
         return (pairs[:, 0] - pairs[:, 1]) / (2 * STEP)
 
-    # Differences of the gap, to 1e-15, by 2e-5; of the points, which are known to 1e-12 or so; and 1e-10 of the
-    # third derivative, which is up to 1/(curvature)² on sharp ends.
+    # Errors of differences: of the gap 1e-15 over 2e-5; of the points, which are accurate to about 1e-12; and
+    # 1e-10 of the third derivative, which is up to 1/(curvature)² on sharp ends.
     np.testing.assert_allclose(exact["gap"], differences(contact["gap"]).T, atol=1e-8)
     for name, values in seen.items():
         expected = np.moveaxis(differences(values), 0, -1)
@@ -124,7 +124,7 @@ SIZED = [
 
 @pytest.mark.parametrize("shape", SIZED, ids=lambda shape: type(shape).__name__)
 def test_shape_size_derivatives_match_central_differences(shape, device):
-    """Of a small sphere and the shape, by the sizes of the shape."""
+    """Contact of a small sphere with the shape; derivatives with respect to the sizes of the shape."""
     random = np.random.default_rng(3)
     x, q = random.normal(size=(COUNT, 3)), random_rotations(random, COUNT)
     x /= np.linalg.norm(x, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Distances of places from shapes, or bounds of them where no more is asked."""
+"""Distances of points from shapes, or lower bounds if the distance exceeds a given value."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from warpcontact.kernels.shapes.signed_distance import signed_distance, signed_d
 
 @pytest.mark.slow
 def test_superellipsoid_distances_are_exact_below_the_requested_bound(device):
-    """Of places that are farther than asked any normal is enough that tells so."""
+    """For points beyond the given value, any normal that proves it is accepted."""
     count, random = 2000, np.random.default_rng(3)
     sizes = random_shapes(S.Superellipsoid, count, random)
     x = random.uniform(-1.0, 1.0, (count, 3)) * sizes["semi_axes"]
@@ -50,6 +50,6 @@ def test_superellipsoid_distances_are_exact_below_the_requested_bound(device):
     assert 500 < near.sum() < 1500
     np.testing.assert_array_equal(found[near], exact[near])
     assert (found[~near] >= enough[~near]).all()
-    # Rounding of products with a place no farther than the semi-axes.
+    # Rounding of products with a point no farther than the semi-axes.
     assert (found <= exact + 1e-14).all()
     np.testing.assert_allclose(plane.numpy(), found, atol=1e-14)

@@ -1,4 +1,4 @@
-"""Two surfaces by their charts: Newton's method against the worked numbers of two tilted ellipsoids."""
+"""Newton's method on two parametrized surfaces against hand values of two tilted ellipsoids."""
 
 import json
 
@@ -49,7 +49,7 @@ def solve(device):
 
 
 def equations(case, u):
-    """|F| of SPEC 2.1 in plain NumPy, in world axes."""
+    """|F| of SPEC 2.1 in NumPy, in world axes."""
 
     def surface(axes, A, centre, th, ph):
         D = np.diag(axes)
@@ -81,7 +81,7 @@ def test_ellipsoid_newton_matches_reference(name, oracle, solve):
 def test_ellipsoid_newton_matches_published_residuals_and_converges_quadratically(oracle, solve):
     case = oracle["separated"]
     history = [equations(case, solve(case, case["q0"], most)[0]["u"]) for most in range(5)]
-    # The last but one is rounding of 1e-10 to one part in 1e6; then nothing is left.
+    # The second last residual, 1e-10, is accurate to one part in 1e6; the last one is rounding.
     np.testing.assert_allclose(history[:3], case["newton_residuals"][:3], rtol=1e-9)
     np.testing.assert_allclose(history[3], case["newton_residuals"][3], rtol=1e-5)
     assert history[4] < 1e-15
@@ -103,6 +103,6 @@ def test_ellipsoid_newton_finds_and_classifies_all_four_roots(name, oracle, solv
     kinds = {-1.0: ROOT_FACING, 1.0: ROOT_PARALLEL}
     expected = sorted((round(gap, 7), kinds[facing]) for gap, _, facing in case["roots"])
     assert distinct == expected
-    # The right one: the largest gap of those that face each other.
+    # The contact is the root with the largest gap among those with opposite normals.
     facing = true[true["kind"] == ROOT_FACING]
     np.testing.assert_allclose(facing["gap"].max(), case["gap"], rtol=0, atol=1e-12)

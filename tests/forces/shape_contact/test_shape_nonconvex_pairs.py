@@ -1,4 +1,4 @@
-"""Tori and patches against dense sampling in NumPy, all poses alike, from deep in each other to far apart."""
+"""Tori and parametric surfaces against dense sampling in NumPy, with random poses from deep overlap to large gaps."""
 
 from typing import Any
 
@@ -30,13 +30,13 @@ SOLIDS = [
     S.Sphere(0.3), S.Plane(), S.Ellipsoid((0.5, 0.3, 0.2)), S.Capsule(0.15, 0.3), S.Cylinder(0.25, 0.3),
     S.RoundedBox((0.3, 0.25, 0.2), 0.05), S.Cone(0.3, 0.6), Torus(0.4, 0.1),
 ]  # fmt: skip
-# What the core of a ring can be deep in, and leave to two sides.
+# Bodies that the core circle of a torus can pierce; then there are two directions to separate.
 PIERCED = (S.Ellipsoid, S.Cylinder, S.RoundedBox, S.Cone)
 names = {"ids": lambda shape: type(shape).__name__}
 
 
 def check_facing(contact, a, b, x, q, tolerance=1e-9):
-    """The points lie on the surfaces, on a line along the normal, as far apart as the gap."""
+    """Points lie on the surfaces, on a line along the normal, and the gap apart."""
     n, gap = contact["normal"], contact["gap"]
     np.testing.assert_allclose(contact["point_a"] - contact["point_b"], gap[:, None] * n, atol=tolerance)
     np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1.0, atol=1e-12)
@@ -45,7 +45,7 @@ def check_facing(contact, a, b, x, q, tolerance=1e-9):
         (b, contact["point_b"], n),
     ):
         np.testing.assert_allclose(signed_distance(shape, points), 0.0, atol=tolerance)
-        # The distance grows at the rate 1 along the normal of the surface, and of an edge.
+        # The distance grows at rate 1 along the outward normal, also at an edge.
         outside = signed_distance(shape, points + 1e-6 * outward)
         np.testing.assert_allclose(outside, 1e-6, atol=1e-11)
 
@@ -53,7 +53,7 @@ def check_facing(contact, a, b, x, q, tolerance=1e-9):
 def ring_case(other, count, seed, angles=600):
     random = np.random.default_rng(seed)
     q, x = random_rotations(random, count), random.normal(size=(count, 3))
-    # The tube is 0.24 thick: gaps from −60 % of that to far apart, and deeper ones.
+    # The tube is 0.24 thick: gaps from −60 % of that to large, and some that are deeper.
     x *= random.uniform(0.0, 1.8, (count, 1)) / np.linalg.norm(x, axis=1, keepdims=True)
     angle = np.linspace(0, 2 * np.pi, angles, endpoint=False)
     circle = RING.major_radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
@@ -73,8 +73,8 @@ def check_ring(other, count, seed, device, angles=600):
     thick = 2 * RING.minor_radius
     wanted = (least > -0.6 * thick) & (least < 2.0 * thick)
     assert wanted.sum() > 0.15 * count
-    # Sampling sees no place lower, beyond rounding. And what is found is a place of the circle, so none is higher
-    # than the best by more than samples can be off: by the kink of a cone's tip, half a step of R.
+    # No sample is lower than the result, except for rounding. The result is a point of the circle, so it exceeds
+    # the smallest sample by at most the sampling error: half a step of R at the kink of a cone's tip.
     good = contact["status"] == MET
     assert (gap[good] <= least[good] + 1e-11).all()
     smooth = good & (least > RING.minor_radius * -0.9)
@@ -103,11 +103,12 @@ def test_pierced_torus_separates_along_the_shortest_direction(other, device):
     contact = shape_contacts(RING, other, x, q, device)
     assert (contact["status"] == MET).all()
     check_facing(contact, RING, other, x, q)
-    # Where the way to the core's deepest place is not across the tube, the contact is another one.
+    # If the shortest exit at the deepest point of the core circle is not across the tube, the contact is
+    # elsewhere.
     pierced = np.flatnonzero(contact["gap"] < least - 3e-3)[:40]
     assert len(pierced) == 40
     grid = [largest_separation(RING, other, x[i], q[i]) for i in pierced]
-    # Cells are 0.065 apart: of an edge of g, as steep as the body is wide, half of that is missed.
+    # Cells are 0.065 apart. At an edge of g, whose slope is the width of the body, the error is half of a cell.
     np.testing.assert_allclose(contact["gap"][pierced], grid, atol=0.012)
 
 
@@ -119,7 +120,7 @@ def test_torus_contact_is_correct_for_many_random_pairs(other, times, device):
 
 
 def sizes(kind, random):
-    """A body from a tenth of the radius of the ring to twice that."""
+    """A body with sizes from 0.1 to 2 times the radius of the ring."""
     size = lambda: RING.major_radius * np.exp(random.uniform(np.log(0.1), np.log(2.0)))  # noqa: E731
     if kind in (S.Ellipsoid, S.RoundedBox):
         half = (size(), size(), size())
@@ -130,7 +131,7 @@ def sizes(kind, random):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", PIERCED, ids=lambda kind: kind.__name__)
 def test_torus_contact_is_correct_for_bodies_of_any_size(kind, times, device):
-    """Plates and rods that are wider than the ring, too, from just apart to all but centred in it."""
+    """Also plates and rods wider than the ring, from separated to almost centered in it."""
     random = np.random.default_rng(12)
     missed = 0
     for seed in range(4 * times):
@@ -139,17 +140,17 @@ def test_torus_contact_is_correct_for_bodies_of_any_size(kind, times, device):
         contact = shape_contacts(RING, other, x, q, device)
         good = contact["status"] == MET
         missed += (~good).sum()
-        # Not above a place of the circle, and what that is as near to.
+        # The gap is at most that of every sample of the circle.
         assert (contact["gap"][good] <= least[good] + 1e-9).all()
         check_facing(contact[good], RING, other, x[good], q[good])
-    # Of slender ones about one in 100 000 is told to be missed: of boxes 5 in 600 000, which were 64 in 100 000.
-    # Here, more than two would be another rate.
+    # For slender bodies, about 1 of 100 000 is reported as not converged: for boxes 5 of 600 000, formerly 64 of
+    # 100 000. More than two here would mean a higher rate.
     assert missed <= 2
 
 
 @pytest.mark.parametrize("axes", [(0.5, 0.3, 0.2), (0.54, 0.09, 0.06), (0.2, 0.5, 0.5), (0.5, 0.2, 0.2)])
 def test_distance_from_ellipsoid_center_is_continuous(axes, device):
-    """Distances change by no more than places do, also where a component is rounding."""
+    """Distances change by no more than the displacement, also if a component is below rounding."""
     random = np.random.default_rng(13)
     body = S.Ellipsoid(axes)
     far = random.uniform(-1.0, 1.0, (20_000, 3)) * axes
@@ -165,13 +166,13 @@ def test_distance_from_ellipsoid_center_is_continuous(axes, device):
 
     gap = wp.zeros(len(x), dtype=wp.float64, device=device)
     wp.launch(each, len(x), inputs=[packed(body), wp.array(x, dtype=wp.vec3d, device=device), gap], device=device)
-    # Beside the middle bisection tells.
+    # Next to the center, the reference is bisection.
     np.testing.assert_allclose(gap.numpy(), signed_distance(body, np.where(off, 1e-9, far)), atol=4e-9)
 
 
 @pytest.mark.parametrize("passing", [1e-2, 1e-5, 1e-8, 1e-10, 1e-12, 1e-15, 0.0])
 def test_tori_with_nearly_crossing_core_circles_contact_there(passing, device):
-    """The gap is how far the circles pass each other, less both tubes, at whatever angle they cross."""
+    """The gap is the distance of the circles minus both tube radii, for any crossing angle."""
     random = np.random.default_rng(3)
     count, other = 2000, Torus(0.4, 0.1)
     q = random_rotations(random, count)
@@ -183,12 +184,12 @@ def test_tori_with_nearly_crossing_core_circles_contact_there(passing, device):
     contact = shape_contacts(RING, other, x, q, device)
     assert (contact["status"] == MET).all()
     least = passing - RING.minor_radius - other.minor_radius
-    # Some cross elsewhere as well, and nearer.
+    # Some circles also cross elsewhere, with a smaller gap.
     assert (contact["gap"] <= least + 1e-14).all()
     there = np.abs(contact["gap"] - least) < 1e-14
     assert there.mean() > 0.9
-    # Across both circles, to the side of the ring; where they cross there is none, or two. Some cross twice, or at
-    # a small angle, within which rounding turns the normal.
+    # The normal is across both circles, towards the ring; at an exact crossing both signs are valid. Some cross
+    # twice, or at a small angle at which rounding rotates the normal.
     to_side = np.einsum("pk,pk->p", contact["normal"], along)[there]
     to_side = to_side if passing > 1e-14 else np.abs(to_side)
     assert (to_side > 1 - 1e-9).mean() > 0.99
@@ -196,7 +197,7 @@ def test_tori_with_nearly_crossing_core_circles_contact_there(passing, device):
 
 @pytest.mark.parametrize(("x", "turned"), [((0.3, 0.0, 0.0), 0.0), ((0.9, 0.0, 0.0), 90.0)])
 def test_tori_with_crossing_core_circles_separate_across_both(x, turned, device):
-    """Flat on each other, across their plane; upright and touching from outside, the circles meet end to end."""
+    """Tori flat on each other separate across their plane. Upright tori in contact from outside meet end to end."""
     half = np.radians(turned) / 2
     q = np.array([[np.sin(half), 0.0, 0.0, np.cos(half)]])
     contact = shape_contacts(RING, Torus(0.4, 0.1), np.array([x]), q, device)[0]
@@ -218,7 +219,7 @@ def test_torus_contact_is_symmetric_in_the_pair(device):
 
 
 def test_sphere_inside_torus_hole_has_correct_gap(device):
-    """It touches the inner side all around and fits: the gap is R − r − its radius, not that from the hull."""
+    """The sphere fits and touches the inner side all around: the gap is R − r − its radius, not that of the hull."""
     contact = shape_contacts(S.Sphere(0.3), RING, np.array([[0.0, 0.0, 0.0]]), np.array([[0, 0, 0, 1.0]]), device)[
         0
     ]
@@ -226,13 +227,13 @@ def test_sphere_inside_torus_hole_has_correct_gap(device):
 
 
 def test_linked_tori_contact_at_their_core_circles(device):
-    """Two circles of radius 0.5, linked like a chain: each through the middle of the other, 0.5 apart."""
+    """Two circles of radius 0.5, linked like a chain: each through the center of the other, 0.5 apart."""
     q = np.array([[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]])
     contact = shape_contacts(RING, RING, np.array([[0.5, 0.0, 0.0]]), q, device)[0]
     np.testing.assert_allclose(contact["gap"], 0.5 - 2 * 0.12, atol=1e-12)
 
 
-# Patches
+# Parametric surfaces
 
 SHEETS = {
     "bowl": Quadric(k_x=1.2, k_y=0.8), "dome": Quadric(k_x=-0.8, k_y=-0.5), "saddle": Quadric(k_x=0.7, k_y=-0.6),
@@ -255,12 +256,12 @@ def sheet_case(sheet, count, seed):
     closest_point = np.column_stack([at, height(sheet, *at.T)])
     n = np.column_stack([-sheet.k_x * at[:, 0], -sheet.k_y * at[:, 1], np.ones(count)])
     n /= np.linalg.norm(n, axis=1, keepdims=True)
-    # Centres from 0.1 below the surface to 0.6 above: −60 % of 0.5 and more deep, and well apart.
+    # Centers from 0.1 below the surface to 0.6 above: from −60 % of 0.5 and deeper to well separated.
     return closest_point + random.uniform(-0.1, 0.6, (count, 1)) * n, random_rotations(random, count)
 
 
 def cloud(body, random, count=1500):
-    """Points all over the surface of a body, edges among them."""
+    """Points all over the surface of a body, including its edges."""
     d = random.normal(size=(count, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     angle, part = random.uniform(0, 2 * np.pi, count), random.random(count)
@@ -281,7 +282,7 @@ def cloud(body, random, count=1500):
 
 @pytest.mark.parametrize("body", BODIES, **names)
 def test_parametric_surface_contact_is_at_the_deepest_point(body, device):
-    """Its deepest point below the patch, or the nearest: by a cloud on the body and a grid on the patch."""
+    """The deepest point below the surface, or the nearest: from points on the body and a grid on the surface."""
     random = np.random.default_rng(7)
     grid = np.linspace(-1, 1, 121)
     u, v = (values.ravel() for values in np.meshgrid(grid, grid))
@@ -294,9 +295,9 @@ def test_parametric_surface_contact_is_at_the_deepest_point(body, device):
         points = x[:, None] + rotated(q[:, None], on_body)
         distance, _ = tree.query(points)
         below = points[..., 2] < height(sheet, points[..., 0], points[..., 1])
-        # What is below by no more than the grid is off, is not known to be below.
+        # A point that is lower by less than the grid error is not certain to be below.
         signed = np.where(below, -distance, distance)
-        # The cloud is 0.02 apart, and the surfaces have radii of 0.1: 0.02²/0.1 and, of the edges, less than 0.02.
+        # The points are 0.02 apart and the radii are 0.1: error 0.02²/0.1, and below 0.02 at edges.
         np.testing.assert_allclose(contact["gap"], signed.min(1), atol=0.01)
         facing = contact["point_a"] - contact["point_b"] - contact["gap"][:, None] * contact["normal"]
         np.testing.assert_allclose(facing, 0.0, atol=1e-8)
@@ -309,13 +310,13 @@ def test_parametric_surface_contact_is_at_the_deepest_point(body, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("body", [*BODIES, S.Sphere(0.25), S.Capsule(0.1, 0.2), S.Cone(0.2, 0.4)], **names)
 def test_parametric_surface_contact_converges_for_many_random_bodies(body, times, device):
-    """20 000, or 100 000 with --thorough: all of them converge, with facing normals.
+    """20 000, or 100 000 with --thorough: all converge with opposite normals.
 
-    Of hundreds, or thousands, sampling sees no deeper or nearer place.
+    For hundreds or thousands of them, sampling finds no deeper or nearer point.
     """
     line = np.linspace(-1.0, 1.0, 41)
     u, v = (values.ravel() for values in np.meshgrid(line, line))
-    # That of an ellipsoid is found by bisection.
+    # The reference for an ellipsoid is bisection, which is slow.
     sampled = (40 if isinstance(body, S.Ellipsoid) else 600) * times
     for sheet in SHEETS.values():
         x, q = sheet_case(sheet, 6667 * times, 9)
@@ -333,7 +334,7 @@ def test_parametric_surface_contact_converges_for_many_random_bodies(body, times
 
 
 def test_sphere_in_paraboloid_bowl_matches_closed_form(device):
-    """Deeper than its middle, too: where the nearest way out is no longer the one back."""
+    """Also deeper than the center, where the nearest exit is no longer on the same side."""
     sheet = Quadric(k_x=0.9, k_y=0.9)
     z = np.array([0.5, 0.2, 0.05, -0.05, -0.15])
     x = np.column_stack([0 * z, 0 * z, z])
@@ -344,7 +345,7 @@ def test_sphere_in_paraboloid_bowl_matches_closed_form(device):
 
 def test_parametric_surface_is_open_at_its_boundary(device):
     sheet = Quadric(k_x=0.0, k_y=0.0)
-    # Over the middle, just inside and just outside of the edge, wholly behind.
+    # Above the middle, just inside and just outside of the edge, entirely behind.
     x = np.array([[0.0, 0.0, 0.1], [0.99, 0.0, 0.1], [1.01, 0.0, 0.1], [0.0, 0.0, -0.21], [0.0, 0.0, -0.19]])
     contact = shape_contacts(S.Sphere(0.2), sheet, x, np.tile([0, 0, 0, 1.0], (5, 1)), device)
     assert contact["status"].tolist() == [MET, MET, OUTSIDE, OUTSIDE, MET]
@@ -352,7 +353,7 @@ def test_parametric_surface_is_open_at_its_boundary(device):
 
 
 class Tube(ParametricSurface):
-    """A cylinder around the z axis, closed around; without derivatives of its own."""
+    """A cylinder around the z axis, periodic, without analytic derivatives."""
 
     radius: float = parameter("m", "radius", above=0.0)
 
@@ -391,7 +392,7 @@ def differences(radius: wp.float64, angle: wp.array(dtype=wp.float64), jets: wp.
 
 
 def test_numerical_derivatives_match_analytic_derivatives(device):
-    """To what is cut off and rounded at steps of 0.03 and 0.01: 1e-16/0.01² of the second ones."""
+    """To truncation and rounding at steps of 0.03 and 0.01: 1e-16/0.01² for second derivatives."""
     u = np.linspace(0.1, 6.0, 40)
     jets = wp.zeros((40, 5), dtype=wp.vec3d, device=device)
     wp.launch(differences, 40, inputs=[3.0, wp.array(u, dtype=wp.float64, device=device), jets], device=device)

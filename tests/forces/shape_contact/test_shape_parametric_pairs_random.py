@@ -1,4 +1,4 @@
-"""Random pairs of shapes and patches: none without an answer, none with a wrong one, none outside that is not."""
+"""Random pairs of shapes and parametric surfaces: all are solved, all are correct, none is wrongly outside."""
 
 import pytest
 from convex_pairs import solved
@@ -30,20 +30,20 @@ def test_parametric_surface_contact_is_the_deepest_or_nearest(pair, device):
     counts = check(*pair, 2000, 7, device)
     assert counts["met"] > 1900
     assert counts["deep"] > 800
-    # Most are deeper than their middle.
+    # Most have a penetration beyond their center.
     assert counts["lowered"] > 600
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("P", "row"), [(Quadric, 1096), (Quadric, 14853), (Waves, 3301), (Bore, 16094)])
 def test_superellipsoid_normal_on_parametric_surface_is_exact_below_distance_rounding(P, row):
-    """Where a step changes the distance by less than rounding, normals were off by 6e-10 to 9e-8."""
+    """If a step changes the distance by less than rounding, normals were off by 6e-10 to 9e-8."""
     a, b, x, q, _ = random_pairs(S.Superellipsoid, P, 25_000, 100)
     own = slice(row, row + 1)
     a, b = ({name: value[own] for name, value in sizes.items()} for sizes in (a, b))
     met = solved(S.Superellipsoid, P, a, b, x[own], q[own])
     assert met["status"] == MET
-    # Cosine with the tangents: rounding of the place, over the distance.
+    # Cosine with the tangents: rounding of the point over the distance.
     assert met["residual"] < 1e-13
     check_points(S.Superellipsoid, P, (a, b), met)
 
@@ -59,11 +59,11 @@ def test_plane_contact_with_parametric_surface_is_at_the_deepest_point_or_edge(P
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", COMBINATIONS, **names)
 def test_many_random_shape_and_parametric_surface_pairs_match_reference(pair, times, device):
-    """20 000 of each shape on four patches, or 100 000 with --thorough."""
+    """20 000 of each shape on four surfaces, or 100 000 with --thorough."""
     count = 5000 * times
     counts = check(*pair, count, 100, device)
     assert counts["met"] > 0.96 * count
-    # Deeper than half the radius of curvature of the patch are a few.
+    # Few have a penetration above half the radius of curvature of the surface.
     assert counts["too deep"] < 0.03 * count
 
 
@@ -76,7 +76,9 @@ def test_many_random_planes_on_parametric_surfaces_match_reference(P, times, dev
 @pytest.mark.slow
 @pytest.mark.parametrize("P", PATCHES, ids=lambda kind: kind.__name__)
 def test_superellipsoids_on_parametric_surfaces_match_reference(P, device):
-    """The reference takes 0.4 s of a core for a pair, 20 times the solver. 25 000 were judged once: none wrong."""
+    """The reference takes 0.4 s of a core per pair, 20 times the solver. In a separate run of 25 000 pairs none
+    was wrong.
+    """
     counts = check(S.Superellipsoid, P, 100, 100, device)
     assert counts["met"] > 95
     assert counts["deep"] > 30

@@ -1,4 +1,4 @@
-"""Rings and superellipsoids: no place of the core circle is nearer than told, by bounds of distances."""
+"""Tori and superellipsoids: no point of the core circle is nearer than reported, by bounds on distances."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from warpcontact.kernels.shapes import shapes as S
 from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.kernels.types import MET
 
-# Of the signed distance: beyond rounding of the support function, whose powers go to 20.
+# Tolerance of the signed distance: larger than rounding of the support function, whose powers go up to 20.
 TIE = 1e-9
 UP = wp.constant(wp.vec3d(0.0, 0.0, 1.0))
 ANGLES = wp.constant(wp.int32(300))
@@ -30,7 +30,9 @@ def search_neighborhood(
     shortfall: wp.array(dtype=wp.float64),
     there: wp.array(dtype=wp.float64),
 ):
-    """By how much places of the core circle are nearer than ``told`` at most, and the distance of ``center``."""
+    """Largest amount by which points of the core circle are nearer than ``reported``, and the distance of
+    ``center``.
+    """
     i = wp.tid()
     n = normal[i]
     for k in range(ANGLES):
@@ -48,14 +50,14 @@ def search_neighborhood(
 def measure(
     axes: wp.vec3d, exponents: wp.vec2d, y: wp.array(dtype=wp.vec3d), distance: wp.array(dtype=wp.float64)
 ):
-    """Signed distances of places."""
+    """Signed distances of points."""
     i = wp.tid()
     value, _n = distance_lower_bound(axes, exponents, UP, y[i], wp.float64(wp.inf))
     distance[i] = value
 
 
 def random_poses(count, seed):
-    """Returns sizes, and poses: three in four from apart to overlap by hulls, else with near middles."""
+    """Returns sizes and poses: three in four from separated to overlapping hulls, else with nearby centers."""
     random = np.random.default_rng(seed)
     major = random.uniform(0.25, 1.0, count)
     a = {"major_radius": major, "minor_radius": major * random.uniform(0.1, 0.9, count)}
@@ -79,7 +81,8 @@ def check(count, seed, device):
     contact = solved(Torus, S.Superellipsoid, a, b, x, q, device=device)
     assert (contact["status"] == MET).all()
     n, gap = contact["normal"], contact["gap"]
-    # On the surface of both: what touches the body across n, and what is r from the core circle, square to it.
+    # The points lie on both: on the support plane of the body across n, and at r from the core circle,
+    # perpendicular to it.
     along = np.sum(n * contact["point_b"], axis=1) - heights(S.Superellipsoid, b, n[:, None])[:, 0]
     np.testing.assert_allclose(along, 0.0, atol=TIE)
     np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1.0, atol=1e-12)
@@ -89,7 +92,7 @@ def check(count, seed, device):
     np.testing.assert_allclose(np.hypot(local[:, 0], local[:, 1]), a["major_radius"], atol=TIE)
     np.testing.assert_allclose(local[:, 2], 0.0, atol=TIE)
     np.testing.assert_allclose(local[:, 0] * m[:, 1], local[:, 1] * m[:, 0], atol=TIE)
-    # What rounding of the normal does to points goes by powers of it, to 1/19.
+    # Rounding of the normal changes points by a power of it, down to 1/19.
     beside = contact["point_a"] - contact["point_b"] - gap[:, None] * n
     assert np.abs(beside).max() < 1e-5
 
@@ -104,7 +107,8 @@ def check(count, seed, device):
         shortfall, there,
     ]  # fmt: skip
     wp.launch(search_neighborhood, count, inputs=inputs, device=device)
-    # No place of the circle is nearer, and the one that is told is as near as that; or farther, and pierced.
+    # No point of the circle is nearer, and the reported one is at the reported distance, or farther if the body is
+    # pierced.
     assert (shortfall.numpy() <= 0.0).all()
     pierced = there.numpy() > reported + TIE
     assert (reported[pierced] < 0.0).all()
@@ -114,16 +118,16 @@ def check(count, seed, device):
         ring = Torus(a["major_radius"][i], a["minor_radius"][i])
         body = S.Superellipsoid(tuple(b["semi_axes"][i]), tuple(b["exponents"][i]))
         slopes.append(min(slopes_near_the_minimum(ring, body, x[i], q[i], device)))
-        # Cells are 0.065 apart: of an edge of g, as steep as both are wide, half of that is missed.
+        # Cells are 0.065 apart. At an edge of g, whose slope is the width of both, the error is half of a cell.
         steep = np.linalg.norm(body.semi_axes) + ring.major_radius
         np.testing.assert_allclose(gap[i], largest_separation(ring, body, x[i], q[i]), atol=0.033 * steep)
-    # There are two ways out of the body, neither of them across the circle: one may be so by little.
+    # If pierced, there are two exits from the body, neither of them across the circle; one may nearly be.
     assert np.median(slopes) > 0.01
     assert min(slopes) > 1e-5
 
 
 def slopes_near_the_minimum(ring, body, x, q, device):
-    """Returns by how much the distance of the core circle grows to both sides of its least value, per length."""
+    """Returns the slopes of the distance of the core circle on both sides of its minimum, per length."""
     middle, width = 0.0, np.pi
     for count in (300, 60, 60):
         angle = middle + width * np.linspace(-1.0, 1.0, count + 1)
