@@ -1,4 +1,4 @@
-"""Parameters of sets that are equal for all items are one value, for any size of the set."""
+"""Parameters of sets that are equal for all items are stored as one value, for any size of the set."""
 
 import numpy as np
 import pytest

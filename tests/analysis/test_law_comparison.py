@@ -1,4 +1,4 @@
-"""Laws and friction models side by side: what the data sets say, against tables and closed forms, and the pictures."""
+"""Comparison of laws and friction models: data sets against tables and closed forms, and figures."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from warpcontact.analysis import compare
 
 L, F = wc.laws, wc.friction
 
-# law, its column of the table
+# Law, its column of the table.
 ROWS = [
     (L.HuntCrossley, "zhang_sharf_exact"),
     (L.LankaraniNikravesh, "lankarani_nikravesh_1990"),
@@ -22,7 +22,7 @@ ELASTIC = (L.Hooke, L.Hertz, L.PowerLaw, L.JohnsonCylinder, L.PereiraCylinder, L
 
 
 class Pad(wc.Law):
-    """N = k δ² (1 + χ δ̇), a law of one's own with a name for everything that the library does not know."""
+    """N = k δ² (1 + χ δ̇), a custom law whose names do not exist in the library."""
 
     pressure: float = wc.parameter("N/m²", "k", above=0.0)
     hysteresis: float = wc.parameter("s/m", "χ", default=0.0, at_least=0.0)
@@ -45,13 +45,13 @@ class Lubricated(wc.Friction):
 
 @pytest.fixture(scope="module")
 def some(device):
-    """Impacts on the laws of ``ROWS``, at the restitutions of the table."""
+    """Impacts with the laws of ``ROWS``, at the restitutions of the table."""
     return compare.impacts([law for law, _ in ROWS], device=device)
 
 
 @pytest.fixture(scope="module")
 def every(device):
-    """Impacts on every law of the catalogue."""
+    """Impacts with every law of the catalogue."""
     return compare.impacts(L.CATALOGUE, [0.3, 0.7, 1.0], device=device)
 
 
@@ -61,7 +61,7 @@ def test_effective_restitution_matches_reference_table(some, shared):
     order = [rows[round(float(e), 2)] for e in some["restitution"].values]
     for law, column in ROWS:
         measured = some["effective_restitution"].sel(law=law.__name__)
-        # 1000 steps per contact time: a law that jumps when the approach ends is off by a part in 1000.
+        # 1000 steps per contact time: a law that is discontinuous at the end of the approach has an error of 1e-3.
         np.testing.assert_allclose(measured, table[column][order], atol=1e-3, err_msg=law.__name__)
 
 
@@ -73,16 +73,19 @@ def test_hysteresis_loops_close_and_enclose_lost_energy(every):
     assert (depth.isel(time=0) == 0).all()
     assert (force.max("time") > 0).all()
     lost = 0.5 * every.attrs["mass"] * every.attrs["speed"] ** 2 * (1 - every["effective_restitution"] ** 2)
-    # Records are 1/500 of a contact time apart; a dashpot on approach for e = 0.3 takes all within some dozen.
+    # Records are 1/500 of a contact time apart. A dashpot on approach with e = 0.3 dissipates all energy within
+    # about twelve of them.
     np.testing.assert_allclose(every["energy_loss"], lost, atol=4e-3 * 0.5)
 
 
 @pytest.mark.slow
 def test_all_laws_are_compared_in_the_same_impact(every):
-    """Undamped, every law is as deep; those with a damping return what is asked for; elastic ones everything."""
+    """All undamped laws have equal penetration; damped laws have the prescribed restitution, and elastic ones e =
+    1.
+    """
     undamped = every.sel(restitution=1.0)
     np.testing.assert_allclose(undamped["greatest_penetration"], 1e-3, rtol=1e-3)
-    # 2.6 to 3.14 δ/v by the exponent.
+    # 2.6 to 3.14 δ/v, depending on the exponent.
     assert ((undamped["contact_time"] > 2.6e-3) & (undamped["contact_time"] < 3.2e-3)).all()
     varied = dict(zip(every["law"].values, every["varied"].values, strict=True))
     assert {law for law, name in varied.items() if not name} == {law.__name__ for law in ELASTIC}
@@ -91,7 +94,7 @@ def test_all_laws_are_compared_in_the_same_impact(every):
         if not name:
             np.testing.assert_allclose(measured, 1.0, atol=1e-3)
         elif name != "restitution":
-            # Found by interpolation in a series of coarser steps.
+            # Found by interpolation in a series with coarser steps.
             np.testing.assert_allclose(measured, every["restitution"], atol=2e-3, err_msg=law)
             assert every["parameter"].sel(law=law).values[-1] == 0.0
 
@@ -114,7 +117,7 @@ def test_restitution_over_speed_differs_between_laws(device):
     np.testing.assert_allclose(over_speed.sel(speed=1.0), 0.6, atol=2e-3)
     assert (np.diff(over_speed.sel(law="HertzDashpot")) > 0.05).all()
     assert (np.diff(over_speed.sel(law="KuwabaraKono")) < -0.05).all()
-    # A speed that is changed by 5 is for Kuwabara–Kono a viscosity that is changed by 5^(1/5).
+    # For Kuwabara–Kono, a speed factor of 5 is equivalent to a viscosity factor of 5^(1/5).
     law = L.KuwabaraKono.from_restitution(stiffness=1.0, restitution=0.6, speed=1.0, mass=1.0)
     expected = wc.kernels.laws.kuwabara_kono.restitution_of_viscosity(law.viscosity * np.array([0.2, 5.0]) ** 0.2)
     np.testing.assert_allclose(over_speed.sel(law="KuwabaraKono", speed=[0.2, 5.0]), expected, atol=2e-3)
@@ -153,7 +156,8 @@ def test_oscillating_slip_follows_prescription_and_dissipates_energy(device):
         moved = data["displacement"].isel(amplitude=k)
         expected = -amplitude * np.cos(0.5 / 1e-2 * data["time"])
         np.testing.assert_allclose(moved, expected, atol=1e-9 * amplitude)
-    # Over the last whole swing 4 μ A N is lost, less what the ramp below 0.01 m/s, 1/50 of the speed, saves.
+    # Over the last whole cycle 4 μ A N is dissipated, minus the part below the ramp of 0.01 m/s, 1/50 of the
+    # speed.
     last = data.isel(friction=0, amplitude=1, time=slice(-1001, None))
     work = np.trapezoid(last["coefficient"], last["displacement"])
     np.testing.assert_allclose(work, 4 * 0.4 * 1e-2, rtol=2e-3)
@@ -172,10 +176,10 @@ def test_friction_with_history_reaches_steady_slip(device):
 def test_stick_spring_oscillates_along_its_stiffness(device):
     spring = F.CundallStrack(mu_static=0.5, mu_dynamic=0.3, stiffness=2e4)
     data = compare.swings(spring, [1e-4, 1e-3], load=10.0, device=device).isel(friction=0)
-    # 0.1 mm up and down stretches the spring to 0.2 mm and 4 N, less than the 5 N that hold: nothing is lost.
+    # An amplitude of 0.1 mm stretches the spring to 0.2 mm and 4 N, below the limit of 5 N: no dissipation.
     small = data.isel(amplitude=0)
     np.testing.assert_allclose(small["coefficient"], 2e4 / 10.0 * (small["displacement"] + 1e-4), atol=1e-9)
-    # 1 mm slides, at most with μ_s and most of the time with μ_d, and the second round is closed.
+    # An amplitude of 1 mm slides, with at most μ_s and mostly μ_d, and the second cycle is closed.
     last = data.isel(amplitude=1, time=slice(-1001, None))
     size = np.abs(last["coefficient"])
     assert 0.49 < float(size.max()) <= 0.5 + 1e-9
@@ -193,7 +197,7 @@ def test_slip_direction_selects_coefficient_of_anisotropic_friction(device):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["laws", "friction"])
 def test_every_catalogue_entry_can_be_plotted(kind, times, device, tmp_path):
-    """Every fifth of it, each of which compiles kernels of its own; all of it with --thorough."""
+    """Every fifth entry, because each compiles separate kernels; all entries with --thorough."""
     catalogue, draw = (
         (L.CATALOGUE, compare.plot_laws) if kind == "laws" else (F.CATALOGUE, compare.plot_friction_models)
     )

@@ -1,4 +1,4 @@
-"""Pictures of laws and friction models say what they show: values, classes, units, and what is hidden in the curves."""
+"""Figures of laws and friction models: values, classes, units, and notes about hidden curves."""
 
 import functools
 import re
@@ -18,7 +18,7 @@ PLASTIC = custom_law.Plastic(loading=1e6, unloading=4e6)
 
 
 def texts(figure):
-    """All that is written in a figure."""
+    """All texts of a figure."""
     return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
 
 
@@ -36,7 +36,7 @@ def panels(figure):
 def test_friction_models_slide_with_equal_coefficient_by_default(device):
     classes = [friction for friction in F.CATALOGUE if friction not in (F.Frictionless, F.Viscous)]
     steady = compare.slips(classes, [1.0], device=device)["coefficient"].isel(speed=0)
-    # Threlfall never reaches μ, by 5 %; Stribeck and others have as good as arrived.
+    # Threlfall stays 5 % below μ; Stribeck and others have almost reached it.
     expected = np.where(steady["friction"] == "Threlfall", 0.95 * 0.4, 0.4)
     np.testing.assert_allclose(steady, expected, rtol=2e-3)
     given = compare.slips([functools.partial(F.Tanh, mu=0.7), F.Dahl], [1.0], device=device)["coefficient"]
@@ -52,7 +52,7 @@ def test_class_next_to_instance_reaches_the_depth_of_the_instance(device):
         np.testing.assert_allclose(data["greatest_penetration"], own, rtol=1e-3)
         np.testing.assert_allclose(data.attrs["depth"], own, rtol=1e-3)
         assert data.attrs["depth_of"] == "soft"
-    # One that a class was given counts like that of an instance.
+    # The stiffness given to a class counts like that of an instance.
     data = compare.impacts([L.Hooke, functools.partial(L.Hertz, stiffness=1.5e6)], 1.0, device=device)
     np.testing.assert_allclose(data["greatest_penetration"], own, rtol=1e-3)
     deeper = compare.impacts({"class": L.Hooke, "soft": soft}, 1.0, depth=2e-3, device=device)
@@ -62,7 +62,7 @@ def test_class_next_to_instance_reaches_the_depth_of_the_instance(device):
 
 
 def test_laws_of_very_different_stiffness_share_one_scene(device):
-    """The sphere is large enough for the softest, not for a depth that nobody asked for."""
+    """The size of the sphere follows from the penetration of the softest law, not from a fixed value."""
     data = compare.impacts({"soft": L.Hooke(stiffness=1e2), "hard": L.Hooke(stiffness=1e4)}, 1.0, device=device)
     np.testing.assert_allclose(data["greatest_penetration"][:, 0], [0.1, 0.01], rtol=1e-3)
 
@@ -90,7 +90,7 @@ def test_law_with_fixed_restitution_is_plotted_and_labeled(device):
     assert legends[:2] == ["plastic, e = 0.5", "hc"]
     for title in ("effective restitution (dotted: prescribed)", "over speed, e = 0.6 at 1 m/s"):
         np.testing.assert_allclose(drawn[title].lines[0].get_ydata(), 0.5, atol=2e-3)
-    # Its loop is in none of the colours that stand for a restitution.
+    # The color of its loop differs from all colors that stand for a restitution.
     (loop,) = drawn["plastic, e = 0.5"].lines
     assert loop.get_color() not in [tuple(line.get_color()) for line in drawn["hc"].lines]
     alone = compare.plot_laws(PLASTIC, device=device)
@@ -125,7 +125,7 @@ def test_plot_labels_include_class_and_source_of_depth(device):
 
 
 def test_plot_uses_one_unit_per_quantity(device):
-    # At e = 0.1 the force is beyond 500 N, at 0.6 it is not.
+    # At e = 0.1 the force exceeds 500 N; at 0.6 it does not.
     figure = compare.plot_laws([L.Impact, L.KelvinVoigt], restitution=[0.1, 0.6, 1.0], mass=0.3, device=device)
     labels = {text for text in texts(figure) if re.match(r"(normal force|penetration|time)", text)}
     assert len(labels) == 3, labels
@@ -137,7 +137,7 @@ def test_static_friction_is_marked_if_steady_slip_does_not_show_it(kind, device)
     held = breakaway_coefficients(
         {"given": functools.partial(kind, mu_static=0.6), "Tanh": F.Tanh, "Dahl": F.Dahl}, 10.0, device
     )
-    # Steps grow by 0.5 %, so the last before it slides may be that much below.
+    # Load steps grow by 0.5 %, so the last one before sliding may be that much below the limit.
     assert 0.995 * 0.6 < held["given"] <= 0.6 + 1e-9
     assert held["Dahl"] <= 0.4
     assert "Tanh" not in held

@@ -1,4 +1,4 @@
-"""Sensitivity, quantile fans and convergence against closed forms."""
+"""Sensitivity indices, quantile fans and convergence against closed forms."""
 
 from dataclasses import dataclass, field
 
@@ -18,7 +18,7 @@ STATUS = {"flag_values": [0, 1, 2], "flag_meanings": "ACTIVE FROZEN STOPPED"}
 
 @dataclass
 class Run:
-    """What a run of ``settings`` left behind."""
+    """Stand-in for the results of a run with ``settings``."""
 
     settings: Settings
     outcome: xr.Dataset = field(default_factory=xr.Dataset)
@@ -26,7 +26,7 @@ class Run:
 
 
 def study(envs, method="saltelli", **variation):
-    """An experiment, and the numbers (envs, d) that it draws; names of parameters without their dots."""
+    """Returns an experiment and its samples (envs, d); parameter names have no dots."""
     names = {name: name.replace("_", ".", 1) for name in variation}
     varied = {names[name]: entry for name, entry in variation.items()}
     experiment = wc.Experiment.from_dict(content(envs=envs, variation=varied, sampling={"method": method}))
@@ -52,7 +52,7 @@ def ishigami(n):
 
 def test_sobol_indices_of_ishigami_function_are_within_confidence_interval():
     indices = wc.sensitivity(with_outcome(*ishigami(2**13)), "peak", confidence=0.99)
-    # The closed form of its variance and its parts.
+    # Closed form of the variance and its parts.
     a, b = 7.0, 0.1
     parts = np.array([0.5 * (1 + b * np.pi**4 / 5) ** 2, a**2 / 8, 0.0])
     mixed = b**2 * np.pi**8 * (1 / 18 - 1 / 50)
@@ -82,7 +82,7 @@ def test_sobol_indices_match_scipy():
 
 
 def test_sobol_indices_of_a_sum_equal_its_variance_shares():
-    """Of several numbers at once: a sum with the weights of each."""
+    """For an outcome with several components, the indices of a sum are weighted by their variances."""
     settings, x = study(4 * 4096, ball_mass={"normal": [20, 1]}, touch_radius={"uniform": [1, 2]})
     weights = np.array([[1, 1], [0, 3], [2, 0.5]])
     run = with_outcome(settings, x @ weights.T + 1e4, ("env", "axis"))
@@ -90,7 +90,7 @@ def test_sobol_indices_of_a_sum_equal_its_variance_shares():
     shares = weights**2 * [1, 1 / 12]
     shares = (shares / shares.sum(axis=1, keepdims=True)).T
     assert indices["first_order"].dims == ("parameter", "axis")
-    # Without products of parameters both orders are the same; 1/√4096 = 0.016.
+    # Without products of parameters both orders are equal; 1/√4096 = 0.016.
     np.testing.assert_allclose(indices["first_order"], shares, atol=0.02)
     np.testing.assert_allclose(indices["total_order"], shares, atol=0.02)
 
@@ -104,7 +104,7 @@ def test_confidence_intervals_of_indices_have_stated_coverage():
         run = with_outcome(settings, stats.norm.ppf(units[:, 0]) + 3 * units[:, 1])
         indices = wc.sensitivity(run, "peak", confidence=0.9, resamples=200, seed=seed)
         held += float(indices["total_order_low"][0]) <= share <= float(indices["total_order_high"][0])
-    # 90 ± 3 of random rows; of Sobol' points the estimates are better than resampling can tell.
+    # 90 ± 3 for random rows. For Sobol' points the estimates are better than resampling can show.
     assert held >= 80
 
 
@@ -132,7 +132,7 @@ def test_sensitivity_raises_for_missing_environments_or_drops_their_rows(how):
         values[bad] = np.nan
     else:
         status[bad] = 1
-        status[5] = 2  # stopped: it has its outcome
+        status[5] = 2  # stopped: it has its outcomes
     run = with_outcome(settings, values, status=("env", status, STATUS))
     reason = "not finite" if how == "nan" else "frozen"
     with pytest.raises(
@@ -171,7 +171,7 @@ def test_quantile_fan_matches_quantiles_at_each_time(extra, block, monkeypatch):
     assert fan.attrs["units"] == "m"
     assert fan["time"].equals(run.series["time"])
     ordered = np.sort(values.astype(float), axis=1)
-    # Of 101 values every hundredth is one of them.
+    # With 101 values, every hundredth quantile is one of them.
     for level, rank in ((0.0, 0), (0.1, 10), (0.5, 50), (1.0, 100)):
         np.testing.assert_allclose(fan.sel(quantile=level), ordered[:, rank], rtol=1e-12)
 
@@ -180,7 +180,7 @@ def test_quantile_fan_reads_store_in_blocks(tmp_path, monkeypatch):
     run, _ = waves(20)
     run.series.to_zarr(tmp_path / "series", encoding={"ball.height": {"chunks": (8, 5)}}, consolidated=False)
     stored = xr.open_zarr(tmp_path / "series", consolidated=False, chunks=None)
-    monkeypatch.setattr(fan_module, "BLOCK", 20 * 20 * 8)  # 20 times
+    monkeypatch.setattr(fan_module, "BLOCK", 20 * 20 * 8)  # 20 blocks
     read = []
     monkeypatch.setattr(
         np, "quantile", lambda values, *a, _f=np.quantile, **k: read.append(len(values)) or _f(values, *a, **k)
@@ -261,26 +261,26 @@ def test_mean_interval_keeps_precision_far_from_zero():
 @pytest.mark.parametrize("q", [0.5, 0.9])
 def test_quantile_intervals_have_at_least_stated_coverage(q):
     rng = np.random.default_rng(1)
-    # 400 outcomes at once, each a sample of 200 of the exponential distribution.
+    # 400 outcomes, each with a sample of 200 from the exponential distribution.
     found = wc.convergence(
         sampled(rng.exponential(size=(200, 400)), dims=("env", "trial")), "peak", "quantile", q, points=6
     )
     exact = -np.log(1.0 - q)
     last = found.isel(n=-1)
     held = ((last["low"] <= exact) & (exact <= last["high"])).mean()
-    # Ranks are whole: 0.95 and a little more, here up to 0.963, ± four standard deviations.
+    # Ranks are integers: slightly above 0.95, here up to 0.963, ± four standard deviations.
     assert 0.95 - 4 * np.sqrt(0.05 * 0.95 / 400) <= held <= 0.965 + 4 * np.sqrt(0.05 * 0.95 / 400)
-    assert np.isnan(found["high"][0]).all()  # that both of two values lie below is too likely
+    assert np.isnan(found["high"][0]).all()  # two values are both below with too high a probability
     assert float(last["estimate"].mean()) == pytest.approx(exact, rel=0.05)
 
 
 def test_quantile_interval_ranks_match_binomial_tables():
-    # Of the median of 10 values the second and the ninth: a confidence of 1 − 2·11/1024 = 0.979.
+    # For the median of 10 values, the second and the ninth: a confidence of 1 − 2·11/1024 = 0.979.
     found = wc.convergence(sampled(np.arange(1.0, 11.0)), "peak", "quantile", points=1)
     assert (float(found["low"][0]), float(found["estimate"][0]), float(found["high"][0])) == (2.0, 5.5, 9.0)
 
 
-# --- mistakes
+# --- invalid arguments
 
 
 def test_analysis_raises_for_invalid_arguments():

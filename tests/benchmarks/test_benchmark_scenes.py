@@ -1,4 +1,4 @@
-"""The works of the benchmarks are what they are said to be, and the table says what was measured."""
+"""Benchmark scenes have the documented properties, and the table reports the measured figures."""
 
 import importlib.util
 import sys
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(
 def load(name):
     spec = importlib.util.spec_from_file_location(f"benchmarks_{name}", FOLDER / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look themselves up
+    sys.modules[spec.name] = module  # required by dataclasses
     spec.loader.exec_module(module)
     return module
 
@@ -96,7 +96,7 @@ def test_benchmark_spheres_come_to_rest_in_the_bowl(works, device):
     positions = sim.model.sensor("body.position")
     figures = load("works").sanity(work, positions)
     assert figures["below"] == figures["not_finite"] == 0.0
-    # On the bowl or on each other, none deeper in another than dashpots and weight explain.
+    # On the bowl or on each other; no penetration exceeds what dashpots and weight explain.
     assert figures["highest_body"] < 0.5
     assert (sim.model.sensor("pile.contacts") >= 5).all()
     assert sim.model.sensor("pile.max_penetration").max() < 2e-3

@@ -1,4 +1,4 @@
-"""The benchmark of catenaries runs, and finds what it says it measures."""
+"""The benchmark of catenaries runs and finds the expected solutions."""
 
 import json
 import subprocess
@@ -22,6 +22,6 @@ def test_catenary_benchmark_runs(device, tmp_path):
     assert {(row["line"], row["start"]) for row in results} == {
         (line, start) for line in ("slack", "on the floor", "taut") for start in ("warm", "cold")
     }
-    # A start from the last solution saves evaluations where it matters: on the floor the search is twofold.
+    # A warm start saves evaluations where they are costly: on a seabed the search is nested.
     floor = {row["start"]: row["evaluations"] for row in results if row["line"] == "on the floor"}
     assert floor["warm"] < 0.6 * floor["cold"]

@@ -88,7 +88,7 @@ def test_largest_difference_is_first_and_missing_arrays_precede(golden):
     assert [difference.name for difference in found] == ["missing", "new", "large", "small"]
     assert found[0].note == "only in this"
     assert found[1].note == "only in other"
-    # A new sensor is no change of results.
+    # A new sensor does not count as a change of results.
     assert golden.difference.differences({"sensors/new": one["small"]}, {}) == []
 
 

@@ -1,4 +1,4 @@
-"""The benchmarks of scaling and of starting: what they fit, what they vary, and that they run from end to end."""
+"""Benchmarks of scaling and startup: fits, parameter ranges, and complete runs."""
 
 import importlib
 import json
@@ -16,14 +16,14 @@ FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 pytestmark = pytest.mark.skipif(
     not FOLDER.is_dir(), reason="benchmarks are in a checkout, not in an installed package"
 )
-# As small as it gets, and no time of it means anything.
+# As small as possible; the times have no meaning.
 TINY = ["--steps", "4", "--rounds", "2", "--at-least", "1e-6", "--threads", "2"]
 TINY += ["--most-envs", "4", "--most-points", "16", "--most-triangles", "3100"]
 
 
 @pytest.fixture(scope="module")
 def load():
-    """Imports a file of the benchmarks, which import each other by their names alone."""
+    """Imports a file of the benchmarks, which import each other by module name."""
     known = set(sys.modules)
     sys.path.insert(0, str(FOLDER))
     yield importlib.import_module
@@ -41,7 +41,7 @@ def run(script, *words, **variables):
 
 @pytest.fixture
 def bare(tmp_path):
-    """Variables with which nothing can be imported that only draws, stores or shows a bar."""
+    """Environment in which plotting, storage and progress-bar packages cannot be imported."""
     folder = tmp_path / "hidden"
     folder.mkdir()
     for name in ("matplotlib", "tqdm", "zarr"):
@@ -56,7 +56,7 @@ def test_power_law_exponent_is_fitted(load, k):
     values = np.geomspace(1, 1e6, 9)
     noise = np.array([1.0, 1.01, 0.99, 1.0, 1.01, 0.99, 1.0, 1.01, 0.99])
     assert fits.exponent(values, 3e-4 * values**k * noise) == pytest.approx(k, abs=2e-3)
-    # An overhead hides growth among small values, not in the upper half.
+    # An overhead hides growth among small values, but not in the upper half.
     costs = 1e3 + 5.0 * values**k
     assert fits.upper_exponent(values, costs) >= fits.exponent(values, costs) - 1e-12
     assert fits.upper_exponent(np.array([1, 10]), [2.0, 2.0 * 10**k]) == pytest.approx(k)
@@ -70,7 +70,7 @@ def test_growth_per_decade_is_fitted(load):
     assert slope == pytest.approx(12.5)
     assert explained == pytest.approx(1.0)
     assert fits.per_decade(values, np.full(7, 3.0)) == (pytest.approx(0.0, abs=1e-12), pytest.approx(1.0, abs=1))
-    assert fits.per_decade(values, values)[1] < 0.7  # linear growth is no logarithm
+    assert fits.per_decade(values, values)[1] < 0.7  # linear growth is not logarithmic
 
 
 def test_fit_requires_two_positive_values(load):
@@ -192,6 +192,6 @@ def test_startup_benchmark_runs_with_minimal_dependencies(device, tmp_path, bare
     parts = sum(cold[name]["median"] for name in ("import", "read", "build", "step"))
     assert 0.0 < parts < cold["process"]["median"]
     assert report["import_s"]["package"]["median"] < report["import_s"]["to_simulate"]["median"]
-    assert "every_name" not in report["import_s"]  # one of them draws
+    assert "every_name" not in report["import_s"]  # one of them plots
     assert set(report["steps_per_s_alone"]) == {"W1", "W2p8", "W2p64", "terrain example"}
     assert "terrain example, cold" in done.stdout

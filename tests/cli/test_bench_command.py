@@ -1,4 +1,4 @@
-"""The short form of the benchmarks: its works, what it reports, and its command."""
+"""The command ``bench``: scenes, reported figures, and output."""
 
 import json
 import signal
@@ -34,7 +34,7 @@ def test_bench_report_has_figures_of_every_benchmark_scene(report, device):
     assert report.facts["cores"] >= 1
     assert report.versions["warpcontact"] == wc.__version__
     for figures in report.works:
-        assert figures.runs == 1  # one at least, however short the time
+        assert figures.runs == 1  # at least one, for any duration
         assert figures.triangles == 20_000
         assert figures.frozen == 0
         assert figures.lowest <= figures.env_steps_per_s <= figures.highest
@@ -82,7 +82,7 @@ def test_lower_bounds_query_the_current_point_positions(device):
         sim = simulation(work, 5, device)
         sim.step(800)
     turned = Rotation.from_quat(sim.model.sensor("body.orientation")).as_matrix() @ work.points.T
-    assert np.ptp(turned, axis=0).max() > 0.01  # they lie on different slopes
+    assert np.ptp(turned, axis=0).max() > 0.01  # they are on different slopes
     places = limits._places(sim.model, work) - sim.model.sensor("body.position")[:, None]
     np.testing.assert_allclose(places, turned.swapaxes(1, 2), atol=1e-6)
     for threads in (1, 2, 64):

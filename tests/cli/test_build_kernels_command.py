@@ -13,7 +13,7 @@ from warpcontact.system import cache_key
 
 pytestmark = pytest.mark.installed
 
-# The command, which then prints the names of the modules that it compiled.
+# Runs the command, then prints the names of the compiled modules.
 COUNTED = """\
 import sys
 import warp._src.context as context
@@ -37,7 +37,7 @@ name = "body"
 mass = 1.0
 inertia = [1.0, 1.0, 1.0]
 """
-# Shapes are drawn by kernels of their own.
+# Shapes are drawn by separate kernels.
 MORE = """
 [outcome]
 peak = { type = "Max", of = "touch.normal_force" }
@@ -92,7 +92,7 @@ def test_build_kernels_writes_only_into_the_cache(tmp_path):
     lines, compiled = command("build-kernels", study, "--device", "cpu", **variables)
     assert lines[0] == f"cache: {cache / wp.config.version}"
     folders = [path.name for path in (cache / wp.config.version).iterdir()]
-    # Each module has a folder, and nothing else is left in the cache.
+    # Each module has a folder, and the cache contains nothing else.
     assert len(folders) == len(compiled) > 3
     assert all(name.startswith("wp_") for name in folders)
     assert files_in(home) == files_in(temporary) == []
@@ -135,7 +135,7 @@ def test_kernel_cache_key_differs_if_a_source_differs(name, sources):
         file.write("more = 1\n")
     after = key(sources)
     assert after != before
-    # A cache of the same machine and compiler is found by the first part.
+    # The first part of the key identifies the machine and compiler.
     assert after.rpartition("-")[0] == before.rpartition("-")[0]
 
 

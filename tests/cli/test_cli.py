@@ -1,4 +1,4 @@
-"""The command line: what it prints, where it prints it, and its exit codes."""
+"""The command line: output, output streams, and exit codes."""
 
 import json
 import shlex
@@ -131,7 +131,7 @@ def test_interrupt_prints_no_traceback(monkeypatch, capsys, tmp_path):
 
 
 def test_run_command_checks_results_folder_before_the_experiment(tmp_path, capsys, monkeypatch):
-    """Which takes long if kernels have to be compiled, or with very many environments."""
+    """The experiment can take long to compile or have very many environments."""
 
     def checked(*_, **__):
         raise AssertionError("the experiment is checked")
@@ -170,7 +170,7 @@ def test_interrupted_run_prints_resume_command(tmp_path, capsys, monkeypatch):
     command = err.splitlines()[-1].split(maxsplit=1)[1]
     assert main(shlex.split(command)) == 0
     assert main(words) == 2
-    # Before anything is touched there is nothing to say about the folder.
+    # Before anything is written, there is no message about the folder.
     monkeypatch.setattr(wc.Scene, "snapshot", interrupted)
     assert main([*words, "--overwrite"]) == 130
     assert "saved in" not in capsys.readouterr().err

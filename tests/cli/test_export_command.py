@@ -1,4 +1,4 @@
-"""``warpcontact export DIR --usd FILE``: environments, clips and colours of a run in a folder."""
+"""``warpcontact export DIR --usd FILE``: environments, clips and colors of a run in a folder."""
 
 import subprocess
 import sys

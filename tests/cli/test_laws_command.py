@@ -1,4 +1,4 @@
-"""The command ``laws``: the catalogue, pictures, and what it says about wrong words."""
+"""The command ``laws``: catalogue, figures, and errors for invalid arguments."""
 
 import dataclasses
 import re
@@ -180,7 +180,7 @@ def test_laws_command_draws_the_requested_plot(words, expected_text, tmp_path, c
     shutil.copy(CUSTOM_LAWS, tmp_path / "my_laws.py")
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    # With texts as texts, so that they can be looked for.
+    # With text elements in the SVG, so that the test can search them.
     with matplotlib.rc_context({"svg.fonttype": "none"}):
         assert main(["laws", *words, "--plot", "a.svg"]) == 0
     assert capsys.readouterr().out == "picture: a.svg\n"

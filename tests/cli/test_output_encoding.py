@@ -1,4 +1,4 @@
-"""Commands end with the right exit code for any encoding of the terminal, and files are UTF-8 for any locale."""
+"""Commands end with the right exit code for any terminal encoding, and files are UTF-8 for any locale."""
 
 import ast
 import io
@@ -17,7 +17,7 @@ ENCODINGS = ("ascii", "cp1252", "cp932")
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 # Functions that open text in the encoding of the locale unless they get one.
 TEXT = {"open", "read_text", "write_text", "fdopen", "NamedTemporaryFile", "TemporaryFile", "TextIOWrapper"}
-# Modules and objects with a function "open" of another kind.
+# Modules and objects with an ``open`` function of another kind.
 NO_FILES = {"os", "webbrowser", "viewer", "zarr"}
 PROCESSES = {"run", "Popen", "check_output"}
 

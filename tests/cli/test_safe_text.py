@@ -1,4 +1,4 @@
-"""Texts from anywhere are shown short."""
+"""Untrusted texts are shortened for display."""
 
 import pytest
 

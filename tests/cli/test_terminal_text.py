@@ -1,4 +1,4 @@
-"""Text of files that others made reaches no terminal as control characters."""
+"""Text from untrusted files reaches no terminal as control characters."""
 
 import contextlib
 import io

@@ -1,4 +1,4 @@
-"""What the site must not forget: every example, every public name, every page."""
+"""The documentation site contains every example, every public name and every page."""
 
 import re
 import sys
@@ -21,7 +21,8 @@ def gallery(monkeypatch):
 
 
 def test_every_example_has_gallery_entry_picture_and_output(gallery):
-    examples = gallery.examples()  # refuses one that has no place, and a place of none
+    # raises an error for an example without a place, and for a place without an example
+    examples = gallery.examples()
     assert {example.name for example in examples} == {
         file.stem for file in gallery.EXAMPLES.iterdir() if file.suffix in (".py", ".toml")
     }

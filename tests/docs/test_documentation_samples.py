@@ -1,4 +1,4 @@
-"""Every Python sample of the README and the docs runs as it stands."""
+"""Every Python sample of the README and the docs runs as written."""
 
 import re
 import subprocess
@@ -14,7 +14,7 @@ def samples(page):
     return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
 
 
-# Those with Python on them.
+# Pages with Python code.
 PAGES = [
     page
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -22,7 +22,7 @@ PAGES = [
 ]
 
 
-# Pages of one process share the start of Python and of Warp.
+# Pages of one group share a process and its startup.
 GROUPS = [PAGES[first::4] for first in range(4)]
 RUN = "import runpy, sys\nfor page in sys.argv[1:]: runpy.run_path(page, run_name='__main__')"
 

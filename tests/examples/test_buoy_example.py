@@ -1,4 +1,4 @@
-"""The moored buoy of the examples comes to rest where its lines hold it in closed form."""
+"""The moored buoy of the examples comes to rest at the closed-form equilibrium of its lines."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ LENGTH, WEIGHT, STIFFNESS = 130.0, 80.0 * 9.81, 4e8
 
 
 def line(height, run):
-    """Tension at the upper end of a line that rises from the floor, and the vertical part of that."""
+    """Tension at the upper end of a cable that rises from the seabed, and its vertical component."""
 
     def parts(h):
         # T + T²/(2 EA) = h + h²/(2 EA) + w z
@@ -34,16 +34,16 @@ def test_buoy_example_comes_to_rest_at_the_center(device, tmp_path):
     last = recording.isel(time=-1)
     place = brentq(lambda z: 440e3 - 20e3 * 9.81 - 125e3 * z - 4 * line(49.0 + z, 108.0)[1], -1.0, 1.0)
     tension, vertical = line(49.0 + place, 108.0)
-    # After a minute what is left of 9 m of sway is some micrometres.
+    # After one minute, the sway of 9 m has decayed to some micrometers.
     np.testing.assert_allclose(last["buoy.position"], [[0.0, 0.0, place]] * 6, atol=1e-4)
     np.testing.assert_allclose(last["east.tension_b"], tension, rtol=1e-6)
     np.testing.assert_allclose(last["west.tension_b"], tension, rtol=1e-6)
     np.testing.assert_allclose(last["west.grounded_length"], LENGTH - vertical / WEIGHT, rtol=1e-6)
     assert (last["east.status"] == wc.CatenaryStatus.GROUNDED).all()
-    # Upright, as on the first record.
+    # Upright, as in the first record.
     np.testing.assert_allclose(last["buoy.orientation"], [[0, 0, 0, 1]] * 6, atol=1e-6)
     assert float(recording["buoy.position"].isel(time=0, env=5, axis=0)) == 8.0
-    # What the example says.
+    # Figures in the text of the example.
     text = EXAMPLE.read_text()
     for figure in (f"{-place:.4f} m deeper", f"{tension / 1e3:.2f} kN", f"{LENGTH - vertical / WEIGHT:.2f} m on"):
         assert figure in text

@@ -1,4 +1,4 @@
-"""The examples of experiments at scale run, small, and the numbers they end with are right."""
+"""Small runs of the examples with large ensembles have correct results."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,8 @@ def test_restitution_map_example_matches_restitution_at_all_masses_and_speeds(de
     assert "largest deviation of all" in capsys.readouterr().out
     assert (tmp_path / "out" / "restitution_map.png").read_bytes().startswith(b"\x89PNG")
     assert len(errors) == 5
-    # Second order in the step at 28 steps a contact, (π/28)²/8; the approximant of Kuwabara–Kono is good to 7e-4.
+    # Second order in the step at 28 steps per contact, (π/28)²/8; the approximant of Kuwabara–Kono has an error of
+    # 7e-4.
     assert max(errors.values()) < 1.6e-3
 
 
@@ -38,7 +39,7 @@ def test_restitution_map_duration_exceeds_the_longest_impact():
         contact_time(example.HERTZ, 1.5, mass, speed),
         contact_time(example.LINEAR, 1.0, mass, speed),
     )
-    # Loss makes them longer: by a tenth with a restitution of 0.5.
+    # Dissipation makes contacts longer: by a tenth for a restitution of 0.5.
     assert max(hertz, linear) < 0.8 * example.experiment(np.array([mass]), np.array([speed])).settings.duration
 
 
@@ -52,15 +53,15 @@ def test_lander_example_loads_match_impact_energy(device, tmp_path, capsys):
     assert result["load 0.5"] < result["load 0.95"] < result["load 0.99"]
     run = wc.open_run(tmp_path / "out")
     leg = run.outcome["peak_leg_load"].values
-    # All four at once bear more than one, and not more than four times the most that one bears.
+    # Together the four legs carry more than one, and at most four times the load of one.
     total = run.outcome["peak_load"].values
     assert (leg <= total).all()
     assert (total <= 4 * leg).all()
-    # A leg bears at least what its spring does at the deepest, where it moves no more.
+    # The load of a leg is at least the spring force at maximum penetration, where the speed is zero.
     spring = 2e5 * run.outcome["stroke"].values ** 1.5
     np.testing.assert_array_less(spring, leg * (1 + 1e-5))
     rested = run.outcome["end_time"].values < 10.0
-    # The ground is within 0.25 m of its mean, and the feet 1.25 m below the centre.
+    # The ground is within 0.25 m of its mean, and the legs end 1.25 m below the center.
     height = run.outcome["place"].sel(axis="z").values[rested]
     assert height.min() > 0.0
     assert height.max() < 2.0

@@ -1,4 +1,4 @@
-"""The examples run, and the numbers they end with are right."""
+"""The examples run, and their results are correct."""
 
 import numpy as np
 import pytest
@@ -12,21 +12,21 @@ pytestmark = pytest.mark.installed
 def test_custom_law_example_rebounds_as_closed_form(device, capsys):
     height_error, speed_error = load("own_law").main(["--envs", "5", "--device", device])
     assert "largest error of rebound height" in capsys.readouterr().out
-    # The closed form leaves the weight out. Over an impact 0.45 mm deep it is worth as much rebound height, of
-    # 60 mm at the strongest damping.
+    # The closed form neglects the weight. In an impact 0.45 mm deep its work equals that change of rebound height,
+    # of 60 mm at the strongest damping.
     assert height_error < 0.008
-    # Explicit Euler damps the slip with a factor off by half of 3.5 β N dt/m = 0.02 at the peak; slip decays by a
-    # third, and 2/7 of that shows in the speed.
+    # Explicit Euler damps the slip with an error of half of 3.5 β N dt/m = 0.02 at the peak. Slip decays by a
+    # third, and 2/7 of that appears in the speed.
     assert speed_error < 0.002
 
 
 def test_moving_surface_example_conserves_momentum(device, capsys):
     result = load("moving_surface").main(["--envs", "3", "--device", device])
     assert "drift of momentum" in capsys.readouterr().out
-    # 6000 steps in float64, each with a few rounding errors of 1e-16 that may have the same sign.
+    # 6000 steps in float64, each with a few rounding errors of 1e-16, possibly of equal sign.
     assert result["scene.linear_momentum"] < 5.0e-12
     assert result["scene.angular_momentum"] < 5.0e-12
-    # Friction off the centre of the block changes the normal speed too: the law knows nothing of that.
+    # Friction off the center of the block changes the normal speed as well, which the law does not consider.
     assert result["restitution"] < 0.003
 
 
@@ -63,8 +63,8 @@ def test_cube_tosses_example_matches_measurement(device, shared_data, capsys, st
     result = load("cube_tosses").main(["--data", str(data), "--start", start, "--device", device])
     with capsys.disabled():
         print(f"\n{result}")
-    # 12.3 % and 15.2° raw, 11.3 % and 13.9° ballistic when the parameters were picked; the nearest tosses to
-    # tip over either way decide about ± 0.5°.
+    # 12.3 % and 15.2° raw, 11.3 % and 13.9° ballistic when the parameters were selected. Tosses that nearly tip
+    # over account for about ± 0.5°.
     assert result["mean position error"] < position
     assert result["mean rotation error"] < rotation
     assert result["landed right"] > 80.0
@@ -84,7 +84,7 @@ def test_surface_on_surface_example_converges_to_closed_forms(device, capsys):
     errors = load("surface_on_surface").main(["--device", device])
     assert "2513.3" in capsys.readouterr().out
     for values in errors.values():
-        # With 250 points on the whole sphere 10 of them touch, with 4000 it is 160.
+        # With 250 points on the whole sphere 10 are in contact, with 4000 it is 160.
         assert values[0] < 0.05
         assert values[-1] < 0.005
 
@@ -95,14 +95,15 @@ def test_pendulum_example_rebounds_from_the_outer_side_only(device, tmp_path):
         data = experiment.run(tmp_path / "out", device=device).recording
     start, e = np.radians(20.0), np.linspace(0.2, 1.0, 9)
     struck = np.argmax(data["outer_touch.normal_force"].values[:, 0] > 0.0)
-    # The angle from the start; the swing back ends within the record.
+    # Angle from the start; the backswing ends within the record.
     back = start - data["outer.angle"].values[struck + 5 :].min(axis=0)
-    # A contact of a hundred steps, 2 mm deep: the weight and the arc beyond the wall count for some 0.01°.
+    # A contact of a hundred steps and 2 mm penetration: the weight and the arc beyond the wall account for about
+    # 0.01°.
     np.testing.assert_allclose(back, np.arccos(1.0 - e**2 * (1.0 - np.cos(start))), atol=np.radians(0.01))
-    # Thrown out at up to 108 m/s, at once.
+    # Ejected immediately, at up to 108 m/s.
     assert (data["literal_touch.normal_force"].values[0] > 0.0).all()
     assert (np.abs(data["literal.angle_rate"].values).max(axis=0) > 50.0).all()
-    # The latched one swings through to the outer side, to its full angle, and is struck there.
+    # The latched pendulum passes through to the outer side, to its full angle, and hits the wall there.
     swing = -data["latched.angle"].values
     np.testing.assert_allclose(swing.max(axis=0), 2.0 * start, rtol=1e-3)
     force = data["latched_touch.normal_force"].values
@@ -111,14 +112,14 @@ def test_pendulum_example_rebounds_from_the_outer_side_only(device, tmp_path):
 
 
 def test_ellipsoid_in_bowl_example_conserves_energy():
-    # At an instant the energy of symplectic steps is off by the first order of dt: 5e-3 at 220 steps of a contact.
+    # The instantaneous energy of symplectic steps has a first-order error in dt: 5e-3 at 220 steps per contact.
     assert load("ellipsoid_in_bowl").energy_kept(duration=0.5) < 8.0e-3
 
 
 @pytest.mark.parametrize("name", ["one_dof_contact", "chain_against_walls"])
 def test_static_contact_example_matches_closed_form_with_all_methods(name, tmp_path, capsys):
     picture = tmp_path / "picture.png"
-    # A residual of 1e-13 or less, over what a chain of five softens.
+    # A residual of at most 1e-13, amplified by the flexibility of a chain of five.
     assert load(name).main(["--picture", str(picture)]) < 1.0e-10
     assert "gauss_seidel" in capsys.readouterr().out
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -129,10 +130,10 @@ def test_bouncing_ball_example_passes_its_zeno_point(device, tmp_path, capsys):
     result = load("bouncing_ball").main(["--device", device, "--picture", str(picture)])
     assert "at rest from 4.063712768" in capsys.readouterr().out
     assert picture.read_bytes().startswith(b"\x89PNG")
-    # From event to event it is a closed form; the last of the series is extrapolated.
+    # Event-driven results are closed forms; the last value of the series is extrapolated.
     assert result["event-driven"] < 1.0e-12
     assert result["zeno"] < 1.0e-10
-    # Where in a step an impact is decides about the error: the order of three steps is not that of the limit.
+    # The error depends on the phase of the step at the impact, so the order over three steps is not the limit.
     assert 0.85 < result["order"] < 1.15
     assert result["largest error"] < 3.4e-4
     assert result["last speed"] < 1.0e-12
@@ -142,7 +143,7 @@ def test_bouncing_ball_example_passes_its_zeno_point(device, tmp_path, capsys):
 def test_rattleback_example_reverses_one_spin_direction_only(tmp_path, device):
     run = wc.Experiment.from_toml(FOLDER / "rattleback.toml").run(tmp_path / "out", device=device)
     wrong, right = run.recording["celt.angular_velocity"].values[-1, :, 2]
-    # Both began with 5 rad/s. Kane and Levinson have the wrong spin turned into one of about half that speed.
+    # Both start with 5 rad/s. The result of Kane and Levinson has the opposite spin of about half that speed.
     assert wrong > 1.5
     assert right > 4.5
 
@@ -155,7 +156,7 @@ def test_pushed_block_example_agrees_with_statics(device, tmp_path, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert result["push"] == 1.0
     assert result["growing"] == 1.0
-    # The push grows by the weight over the number of steps, and ends the rest within one of them.
+    # The push grows by the weight over the number of steps, and ends equilibrium within one of them.
     assert result["limit"] < 98.1 / 300 + 1e-9
 
 
@@ -168,11 +169,11 @@ def test_wall_of_boxes_example_breaks_and_gains_no_energy(device, tmp_path, caps
     assert picture.read_bytes().startswith(b"\x89PNG")
     for result in results.values():
         assert 0.0 < result["penetration"] < result["bound"]
-        # Of 1.5 kJ; a contact that parts with less than g dt is held, which may lift its body by as much.
+        # Of 1.5 kJ; a contact that separates with less than g dt is held, which may lift its body by as much.
         assert result["gain"] < 1e-3
         assert result["friction"] > 10.0
         assert result["impact"] > 100.0
-        # What rounding and turning add to it is of second order in the step.
+        # Rounding and rotation contribute to second order in the step.
         assert result["friction"] + result["impact"] == pytest.approx(result["lost"], rel=1e-2)
         assert result["converged"] > 0.5
     assert wc.check_usd(animation) == []
@@ -187,11 +188,11 @@ def test_falling_boxes_example_comes_to_rest_with_balanced_energy(device, tmp_pa
     run = wc.Experiment.from_toml(FOLDER / "falling_boxes.toml").run(tmp_path / "out", device=device)
     recorded_data = run.recording
     assert recorded_data["scene.solve_failures"].max() == 0
-    # Bodies that fall less than a metre are slower than 5 m/s; corners of tumbling ones a little faster.
+    # Bodies that fall less than 1 m are slower than 5 m/s; vertices of tumbling ones are slightly faster.
     for pair in ("lower_feet", "upper_feet", "upper_on_lower", "lower_on_upper"):
         assert recorded_data[f"{pair}.penetration"].max() < 8e-3
     assert np.median(recorded_data["scene.kinetic_energy"][-1]) < 1e-3
     energy = recorded_data["scene.kinetic_energy"] + recorded_data["scene.potential_energy"]
     energy += recorded_data["scene.friction_dissipation"] + recorded_data["scene.impact_dissipation"]
-    # To second order in the step, of bodies that turn at some rad/s; there were 129 J.
+    # To second order in the step, for bodies with some rad/s; the initial energy was 129 J.
     assert np.abs(energy - energy[0]).max() < 1e-3

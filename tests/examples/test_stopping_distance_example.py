@@ -1,4 +1,4 @@
-"""Sensitivity of a simulated outcome: the way that a sliding block takes to stop, against its closed form."""
+"""Sensitivity of a simulated outcome: stopping distance of a sliding block, against its closed form."""
 
 import numpy as np
 import pytest
@@ -10,11 +10,11 @@ def test_stopping_distance_example_indices_match_closed_form(device, tmp_path, c
     options = ["--envs", "2048", "--device", device, "--out", str(tmp_path / "out")]
     result = load("stopping_distance").main(options)
     assert "largest deviation of an index from its closed form" in capsys.readouterr().out
-    # All have stopped, as exactly as the solver goes: 1e-5 of 4 m/s.
+    # All have stopped, to the tolerance of the solver: 1e-5 of 4 m/s.
     assert result["speed"] < 4e-5
-    # In two steps, those of touching and of coming to rest, the speed is off by at most μ g dt.
+    # In two steps, the first contact and the stop, the error of the speed is at most μ g dt.
     assert result["distance"] < 2 * 0.6 * 9.81 * 1e-2**2
-    # 512 rows of Sobol' points: less than 1/√512 = 0.044.
+    # 512 rows of Sobol' points: below 1/√512 = 0.044.
     assert result["index"] < 0.044
     assert result["outside"] == 0
 
@@ -23,7 +23,7 @@ def test_stopping_distance_example_indices_match_closed_form(device, tmp_path, c
 def test_closed_form_indices_match_their_definition(ranges):
     example = load("stopping_distance")
     first, total = example.closed_form(*ranges)
-    # By quadrature over the ranges; distances up to a factor.
+    # Quadrature over the parameter ranges; distances up to a factor.
     nodes, weights = np.polynomial.legendre.leggauss(40)
     speed, mu = (low + (high - low) * (nodes + 1) / 2 for low, high in ranges)
     distance, w = np.multiply.outer(speed**2, 1 / mu), weights / 2

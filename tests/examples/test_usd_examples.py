@@ -1,11 +1,11 @@
-"""Every experiment file of the examples leaves an animation that is sound, in every format, as clips as well."""
+"""Every experiment file of the examples gives a valid animation in every format, and as clips."""
 
 import pytest
 from example_files import FOLDER
 
 import warpcontact as wc
 
-# These record nothing over time; the records of the other are far apart.
+# These record no time series; the records of the others are far apart.
 WITHOUT = ("lander", "stopping_distance")
 DURATION = {"buoy": 2.0}
 

@@ -1,4 +1,4 @@
-"""Chunks that a shard writes: as many at once as its threads, each with one writer, and nothing beside its own."""
+"""Staging of chunks of a shard: as many in parallel as threads, one writer each, only chunks of that shard."""
 
 import contextlib
 import hashlib
@@ -24,7 +24,7 @@ ENVS, FRAMES = 96, 5
 
 @pytest.fixture
 def made(tmp_path, monkeypatch):
-    """The folder of a run of three shards of 32 environments, whose chunks have 4 of these; and their values."""
+    """The folder of a run of three shards of 32 environments, with chunks of 4 environments, and the values."""
     monkeypatch.setattr(store, "CHUNK", 4 * 8 * FRAMES)
     values = np.random.default_rng(3).normal(size=(FRAMES, ENVS))
     env = xr.DataArray(np.arange(32), dims="env")
@@ -36,7 +36,7 @@ def made(tmp_path, monkeypatch):
 
 def write(folder, values, shard, threads=None):
     own = values[:, shard.first : shard.stop]
-    # A last shard is smaller than what runs.
+    # The last shard can be smaller than the arrays.
     own = np.pad(own, ((0, 0), (0, 32 - shard.envs)), constant_values=7.0)
     with store.Ledger(folder).staging(shard, threads) as staging:
         staging.write("series", {"gap": own})
@@ -60,7 +60,7 @@ def test_chunks_in_memory_do_not_exceed_the_plan(threads, most, made, monkeypatc
         with lock:
             count += 1
             busy.append(count)
-        # Long enough for others to begin, if they can.
+        # Long enough for other writers to start, if they can.
         time.sleep(0.05)
         entry = write_chunk(chunk, path)
         with lock:
@@ -101,7 +101,7 @@ def test_shard_writes_its_own_environments_only(shard, made):
     ids=str,
 )
 def test_chunks_are_bitwise_identical_to_those_of_zarr(dims, dtype, tmp_path):
-    """Also the last of them, which are not full; of what is empty there is none."""
+    """Includes incomplete chunks at the end; empty chunks are not written."""
     sizes = {"time": 10, "env": 22, "axis": 3, "item": 5, "event": 2}
     pieces = {**sizes, "time": 4, "env": 8}
     values = (100 * np.random.default_rng(4).normal(size=[sizes[dim] for dim in dims])).round(1).astype(dtype)
@@ -215,7 +215,7 @@ def test_failed_block_write_raises_at_the_next_call(asks, made, monkeypatch):
         with pytest.raises(OSError, match="No space left"):
             staging.wait() if asks == "wait" else staging.write("series", series(values), FRAMES)
         assert staging.written == {}
-        # Said once.
+        # The error is raised once.
         staging.wait()
 
 

@@ -1,4 +1,4 @@
-"""Shards as tasks of a real local Ray: the same bytes, and of a killed worker exactly its shard is run again."""
+"""Shards as tasks of a local Ray: identical bytes, and after a worker is killed only its shard is rerun."""
 
 import contextlib
 import json
@@ -36,10 +36,10 @@ def warnings_of(folder):
 
 
 def workers(folder):
-    """Returns the process at work on each shard, by its number."""
+    """Returns the process that works on each shard, by shard number."""
     found = {}
     for path in (folder / "progress").glob("shard_*.json"):
-        # A shard that ends takes its file away, between the listing and the sensor too.
+        # A shard that ends removes its file, possibly between listing and reading.
         with contextlib.suppress(FileNotFoundError):
             found[int(path.stem[-6:])] = json.loads(path.read_text())["process"]
     return found
@@ -112,7 +112,7 @@ def test_shard_of_killed_worker_is_run_again(tmp_path):
     assert again[0] in err
     now = sharded_runs.records(out)
     assert all(now[number] == record for number, record in others.items())
-    # It went on from its checkpoint: the time until then counts.
+    # The shard was resumed from its checkpoint, so the earlier time counts.
     assert now[shard]["wall_time"] > done[shard]["wall_time"]
     assert sharded_runs.hashes(out) == sharded_runs.hashes(tmp_path / "whole")
     assert sharded_runs.leftovers(out) == []
@@ -184,7 +184,7 @@ def test_run_started_in_one_process_resumes_with_ray(place, tmp_path):
 
 
 class Cluster:
-    """Stands for Ray, with machines of so many cores, GPUs and bytes."""
+    """Stand-in for Ray, with machines of given cores, GPUs and bytes."""
 
     def __init__(self, *machines):
         keys = ("CPU", "GPU", "memory")
@@ -210,13 +210,13 @@ class Cluster:
 )
 def test_concurrent_shards_are_limited_by_memory(machines, gpus, places, there, message_count, monkeypatch):
     monkeypatch.setattr("warpcontact.experiment.cluster.WORKER_MEMORY", 2)
-    # What the process that plans has of memory does not count.
+    # The memory of the planning process does not count.
     plan = Plan(100, 5, 1, MemoryEstimate(5, "cpu", (MemoryItem("state", HOST, 6),)), 0, (), process=50)
     messages = []
     place = ClusterResources(Cluster(*machines), cores=2, gpus=gpus, slots=places).limit_by_memory(
         plan, messages.append
     )
-    # With what is kept in reserve.
+    # Including the reserve.
     assert (place.slots, place.memory) == (there, int(8 / USABLE_FRACTION))
     assert len(messages) == message_count
     if message_count:
@@ -266,7 +266,7 @@ def test_cpu_shards_use_cores_of_cluster_with_gpus(place, tmp_path):
     out = tmp_path / "out"
     code, _, err = sharded_runs.run(place / "study.toml", "--out", out, "--ray", "--device", "cpu", first=gpu)
     assert code == 0, err
-    # Four shards for each of two places, and not of one GPU.
+    # Four shards for each of two slots, not for one GPU.
     assert wc.open_run(out, verify=True).summary["shard"] == 2
     assert wc.open_run(out).digest() == wc.open_run(place / "whole").digest()
 

@@ -1,4 +1,4 @@
-"""Files that are written past the memory of the system hold what was written, however much that is."""
+"""Files written with direct I/O contain what was written, for any size."""
 
 import errno
 import os
@@ -92,7 +92,7 @@ def test_direct_file_is_written_without_direct_io_support(number, tmp_path, monk
 def test_direct_file_falls_back_if_a_direct_write_is_refused(size, tmp_path):
     content = read_content(size)
     with written(tmp_path / "file") as file:
-        # Memory that begins elsewhere is what a disk refuses.
+        # Direct I/O requires aligned memory; a disk rejects other addresses.
         file._piece = np.zeros(PIECE + BLOCK, dtype=np.uint8)[1 : PIECE + 1]
         file.write(content)
     assert (tmp_path / "file").read_bytes() == content

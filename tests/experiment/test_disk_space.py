@@ -1,4 +1,4 @@
-"""The disk of the results: what a plan tells of it, when a run warns, and what is said once it is full."""
+"""Free disk space for results: plan, warnings of a run, and error when the disk is full."""
 
 import errno
 import shutil
@@ -16,7 +16,7 @@ KIB = 1024
 
 @pytest.fixture
 def free(monkeypatch):
-    """Sets what is free on every disk; returns the folders that were asked for."""
+    """Sets the free space of every disk; returns the folders that were queried."""
     queried_folders = []
 
     def set_free(size):
@@ -36,7 +36,7 @@ def test_plan_command_prints_free_disk_space(tmp_path, free, capsys, monkeypatch
     words = ["plan", str(study), "--device", "cpu", "--no-probe"]
     queried_folders = free(200 * KIB)
     assert main(words) == 0
-    assert queried_folders == [tmp_path]  # there is no folder results yet
+    assert queried_folders == [tmp_path]  # the folder of the results does not exist yet
     output = "on disk: up to 103 KiB, before compression; 200 KiB is free on the disk of results/study"
     assert f"{output}\n" in capsys.readouterr().out
     (tmp_path / "other").mkdir()
@@ -63,7 +63,7 @@ def test_run_warns_if_results_may_fill_the_disk(tmp_path, free):
     ((text, stage),) = warnings(102 * KIB, tmp_path / "little")
     assert text.startswith("caution: the results take up to 103 KiB before compression, and 102 KiB is free on ")
     assert stage.startswith("building")  # before the first step
-    # One of two shards is done.
+    # One of two shards is finished.
     for name in ("enough", "little"):
         (tmp_path / name / "commit" / "shard_000001.json").unlink()
     assert warnings(52 * KIB, tmp_path / "enough", resume=True) == []

@@ -1,4 +1,4 @@
-"""Experiments do what the same script would do, leave complete results, and draw the same values again."""
+"""Experiments equal the same script, leave complete results, and repeat the same samples."""
 
 import dataclasses
 import inspect
@@ -21,7 +21,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "terrain_drop.toml"
 
 
 def content(**changes):
-    """A small experiment that is right: a sphere above a square."""
+    """A small valid experiment: a sphere above a square."""
     return {
         "envs": 4,
         "duration": 0.02,
@@ -58,7 +58,7 @@ def test_experiment_check_reuses_loaded_meshes_for_the_first_model(flip, monkeyp
     assert sorted(made) == ["build_bvh", "make_query_mesh"]
     experiment.model(device="cpu")
     assert len(made) == 2
-    # It is kept no longer, and of several experiments that are changes of one that of the last.
+    # The file cache is kept for one experiment; among derived experiments, for the last one.
     experiment.model(device=["cpu", "cpu"])
     assert sorted(made) == ["build_bvh"] * 2 + ["make_query_mesh"] * 2
     for envs in (2, 3):
@@ -84,7 +84,7 @@ def test_example_writes_complete_results(device, tmp_path):
     summary = json.loads(run.files["summary"].read_text())
     assert summary["state"] == "finished"
     assert (summary["envs"], summary["steps"], summary["seed"]) == (3, 300, 1)
-    assert summary["duration"] == 0.06  # as given, not with the rounding of a sum of steps
+    assert summary["duration"] == 0.06  # as given, without the rounding of a sum of steps
     assert all(str(path) in str(run) for path in run.files.values())
 
 
@@ -116,7 +116,7 @@ def test_example_spheres_gain_no_energy_and_stay_above_the_ground(device, tmp_pa
     flying = data["touch.status"].values == wc.ContactStatus.OPEN
     for env in range(64):
         flights = energy[flying[:, env], env]
-        # Float32 holds 3 J to 2e-7 J; one percent is less than any bounce loses.
+        # float32 holds 3 J to 2e-7 J; any bounce loses more than one percent.
         assert (np.diff(flights) < 0.01 * flights[0]).all()
     assert np.median(energy[-1]) < 0.2 * np.median(energy[0])
 
@@ -137,7 +137,7 @@ def test_experiment_equals_equivalent_script_bitwise(device, tmp_path):
     model["ball.linear_velocity"] = recorded["ball.linear_velocity.initial"].values
     expected = wc.Simulation(model, dt=1.0e-3).run(0.02, record=["touch.gap"])
     assert (expected["touch.gap"].values < 0.0).any()
-    # To the bit: compiling ahead of the run leaves no trace in it.
+    # Bitwise identical: compiling before the run has no effect on results.
     np.testing.assert_array_equal(recorded["touch.gap"].values, expected["touch.gap"].values)
 
 
@@ -158,7 +158,7 @@ def test_experiment_defaults_equal_python_api():
         for name, field in settings.model_fields.items():
             if name != "name" and not field.is_required():
                 default = parameters[name].default
-                # TOML has no infinity here: a key that is left out.
+                # TOML has no infinity in this schema: the key is omitted.
                 assert field.default == (None if default == np.inf else default), name
     assert wc.Experiment(content()).settings.gravity == tuple(wc.Scene().gravity)
 
@@ -259,7 +259,7 @@ def test_record_sensors_and_interval_have_defaults():
     assert experiment.settings.record.every == 0.03
     expected_sensors = ("touch.penetration", "touch.normal_force", "scene.kinetic_energy")
     assert experiment.settings.record.sensors == expected_sensors
-    # A written experiment has them written out, and follows another duration all the same.
+    # A written experiment contains explicit defaults, and they still follow a changed duration.
     written = wc.Experiment(experiment.settings.model_dump(exclude_none=True))
     assert written.settings.record.every == 0.03
     assert written.changed(duration=0.01).settings.record.every == 0.001
@@ -294,7 +294,7 @@ def test_box_on_slope_example_slides_as_closed_form(device, tmp_path):
     slid = np.linalg.norm(position[-1] - position[0], axis=-1)
     slope, duration = np.radians(20.0), experiment.settings.duration
     acceleration = 9.81 * (np.sin(slope) - mu * np.cos(slope))
-    # The box sinks in by 0.05 mm, and friction is less below the velocity scale of 1 mm/s.
+    # The box sinks by 0.05 mm, and friction is smaller below the velocity scale of 1 mm/s.
     np.testing.assert_allclose(slid[:3], 0.5 * acceleration[:3] * duration**2, atol=1.0e-3)
     assert slid[3] < 2.0e-3
 

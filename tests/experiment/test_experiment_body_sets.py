@@ -1,4 +1,4 @@
-"""Sets of bodies in experiment files: lists and files, what is recorded, and what is wrong with them."""
+"""Body sets in experiment files: lists and files, recordings, and errors."""
 
 import copy
 
@@ -48,7 +48,7 @@ def test_body_set_from_lists_equals_body_set_from_files(folder, device):
     np.testing.assert_allclose(data["scratch.gap"].values[0, 2], [0.2, 0.31, 0.42, 0.53], atol=1e-7)
     np.testing.assert_array_equal(data["grains.mass"].values, STUDY["variation"]["grains.mass"]["values"])
     assert (run.folder / "picture.png").stat().st_size > 10_000
-    # Only the other body is not of the set.
+    # Only the other body is not in the set.
     others = data["scene.kinetic_energy"].values - data["grains.kinetic_energy"].values.sum(axis=2)
     time = data["time"].values[:, None]
     np.testing.assert_allclose(others, np.broadcast_to(0.5 * (9.81 * time) ** 2, others.shape), rtol=1e-4)
@@ -57,7 +57,7 @@ def test_body_set_from_lists_equals_body_set_from_files(folder, device):
     named["bodies"][0] |= {"positions": "positions.npy", "mass": "masses.csv", "inertia": "inertia.csv"}
     named["contact"][0]["radius"] = "radii.csv"
     files = wc.Experiment.from_dict(named, folder).run(folder / "files", device=device)
-    # What is written beside the results finds the files from there.
+    # The experiment saved with the results refers to the files from there.
     again = wc.Experiment.from_toml(folder / "files" / "experiment.toml").run(folder / "again", device=device)
     for name in ("touch.gap", "grains.position", "grains.kinetic_energy"):
         for other in (files, again):
@@ -124,7 +124,7 @@ def test_invalid_body_set_is_reported_with_its_key(change, message, folder):
     study["bodies"][0] |= change
     with pytest.raises(wc.ExperimentError) as caught:
         wc.Experiment.from_dict(study, folder)
-    # Whatever else is wrong with what refers to the set is not said.
+    # Consequential errors in entries that refer to the set are not reported.
     (problem,) = caught.value.problems
     assert message in problem
 

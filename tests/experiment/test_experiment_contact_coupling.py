@@ -18,7 +18,7 @@ LINES = ["keep_first.point", "keep_first.normal", "keep_first.normal_force", "ke
 
 
 def content(**changes):
-    """A block that falls flat on a quay of its size."""
+    """A block that falls flat onto a quay of its size."""
     given = {
         "envs": 2,
         "duration": 0.02,
@@ -60,13 +60,13 @@ def test_contact_coupling_in_experiment_equals_python_api(tmp_path):
         np.testing.assert_array_equal(run.recording[name].values, recording[name].values)
     assert coupling.report(model).in_range.all()
     assert np.abs(recording["keep.force"].values).max() > 1000.0
-    # The picture shows its force, of which no sensor is one number.
+    # The picture shows its force, because the coupling has no scalar sensor.
     without = run.recording.drop_vars(LINES)
     without.scene = run.recording.scene
     panel = make_panels(without, np.zeros(0, dtype=int), 2)[0]
     assert (panel.heading, panel.curves.unit) == ("magnitude of keep.force", "N")
     np.testing.assert_allclose(panel.curves.values, np.linalg.norm(recording["keep.force"], axis=-1))
-    # The written experiment says the same.
+    # The saved experiment is equal.
     assert wc.Experiment.from_toml(run.files["experiment"]).settings == experiment.settings
 
 
@@ -79,12 +79,12 @@ def test_animation_has_coupling_forces_at_faces(tmp_path):
     frame = int(np.argmax(run.recording["keep.force"].sel(axis="z", env=1).values))
     code = frame * stage.GetTimeCodesPerSecond() * 0.002
     start, force = arrows(stage, "/World/env_1/contacts/keep_first/force", code)
-    # From the points of the faces, wherever the other surface is.
+    # From the points of the faces, for any position of the other surface.
     now = run.recording.isel(time=frame, env=1)
     place, turn = now["block.position"].values, Rotation.from_quat(now["block.orientation"].values)
     points = next(points for points in run.recording.scene.points if points.name == "keep_first_points")
     pushed = np.isfinite(force[:, 2])
-    assert pushed.sum() == 6  # the lower side, three points of each of its faces
+    assert pushed.sum() == 6  # lower side, three points on each face
     assert (force[pushed, 2] > 0.0).all()
     np.testing.assert_allclose(start[pushed], (turn.apply(points.positions) + place)[pushed], atol=1e-6)
     total = stage.GetPrimAtPath("/World/env_1/contacts/keep")
@@ -96,7 +96,7 @@ def test_animation_has_coupling_forces_at_faces(tmp_path):
     assert minimum.Get(code) == pytest.approx(
         run.recording["keep.minimum_distance"].isel(time=frame, env=1).item()
     )
-    # The range of a face is no sphere that one would see.
+    # The range of a face is not drawn as a sphere.
     assert not any(prim.IsA(UsdGeom.Sphere) for prim in stage.Traverse())
 
 

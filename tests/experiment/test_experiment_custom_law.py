@@ -1,4 +1,4 @@
-"""Laws out of a user's file run through the experiment file, and can be repeated from the results."""
+"""Custom laws from a Python file run in an experiment, and can be repeated from the results."""
 
 import hashlib
 import importlib.util
@@ -23,7 +23,7 @@ CUBIC = {"type": "my_laws.py:Cubic", "stiffness": 1e9}
 
 
 def study(law=CUBIC, friction=None, **changes):
-    """A ball 2 mm deep in the ground that slides, with laws of the user."""
+    """A ball at a penetration of 2 mm that slides on the ground, with custom laws."""
     body = content()["body"][0] | {"position": [0.0, 0.0, 0.098], "linear_velocity": [1.0, 0.0, 0.0]}
     material = {"name": "rubber", "law": law} | ({"friction": friction} if friction else {})
     sensors = {"sensors": ["touch.normal_force", "touch.friction_force", "ball.position"]}
@@ -32,7 +32,7 @@ def study(law=CUBIC, friction=None, **changes):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A folder of a study with a file of laws."""
+    """A folder of a study with a file of custom laws."""
     (tmp_path / "study").mkdir()
     (tmp_path / "study" / "my_laws.py").write_text(LAWS, encoding="utf-8")
     return tmp_path / "study"
@@ -74,7 +74,7 @@ sensors = ["touch.normal_force", "touch.friction_force", "ball.position"]
 
 
 def imported(path, name):
-    """The file as a module of a script of the user."""
+    """The file as a module of a user script."""
     spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
@@ -124,7 +124,7 @@ def test_run_with_custom_laws_is_repeated_from_its_results(device, folder):
         assert (second.folder / name).read_bytes() == (first.folder / name).read_bytes()
     digest = hashlib.sha256(LAWS.encode()).hexdigest()
     assert json.loads(second.files["summary"].read_text())["law_files"] == {"my_laws.py": digest}
-    # Into the very folder that it comes from.
+    # Into the same folder that the experiment is read from.
     third = wc.Experiment.from_toml(first.files["experiment"]).run(first.folder, device=device, overwrite=True)
     assert third.recording.identical(second.recording)
     assert (first.folder / "my_laws.py").read_text(encoding="utf-8") == LAWS
@@ -171,7 +171,7 @@ def test_overwrite_replaces_copied_law_files_only(folder):
         wc.Experiment.from_dict(study(), folder).run(out, device="cpu", overwrite=True)
     assert (out / "my_laws.py").read_text() == "mine too"
     assert (out / "data.zarr").exists()
-    # Whatever is in run.json, nothing else is removed.
+    # For any content of run.json, no other file is removed.
     (folder / "kept.py").write_text("")
     for name in ("../study/kept.py", "notes.txt", str(folder / "kept.py"), 3):
         summary = json.loads((out / "run.json").read_text()) | {"law_files": {name: ""} if name != 3 else 3}
@@ -209,7 +209,7 @@ def test_unchanged_law_file_shares_classes_and_edited_file_gets_new_ones(folder,
     (folder / "my_laws.py").write_text(LAWS.replace("return p.stiffness *", "return type(c.delta)(2.0) *"))
     after = wc.Experiment.from_dict(study(law=CUBIC | {"stiffness": 1.0}), folder)
     np.testing.assert_allclose(force_of(after, device), 2.0 * 2e-3**3, rtol=1e-4)
-    # What was read stays as it was, also where it is checked again.
+    # The module that was read is unchanged, also if the experiment is validated again.
     np.testing.assert_allclose(force_of(before.changed(duration=0.01), device), 8.0, rtol=1e-4)
     run = before.run(folder.parent / "out", device=device)
     assert run.files["my_laws.py"].read_text(encoding="utf-8") == LAWS
@@ -277,7 +277,7 @@ def test_custom_law_parameters_can_vary_and_have_defaults(folder, device):
     experiment = wc.Experiment.from_dict(study(law=pad, variation=varied), folder)
     force = experiment.model(device=device).sensor("touch.normal_force")
     np.testing.assert_allclose(force, [2.0, 1.0, 0.5, 0.25], rtol=1e-4)
-    # Defaults are written out as numbers, whatever type they had.
+    # Defaults are written as plain numbers, for any type.
     run = wc.Experiment.from_dict(study(law={"type": "my_laws.py:Pad", "stiffness": 1e3}), folder).run(
         folder.parent / "out", device=device
     )
@@ -295,12 +295,12 @@ def test_custom_law_example_file_rebounds_as_closed_form(device, tmp_path):
     assert main(words) == 0
     recording = wc.open_run(tmp_path / "out").recording
     closed_form = imported(EXAMPLES / "own_law.py", "example_own_law_closed_form")
-    after = recording.sel(time=slice(0.22, None))  # it touches at 0.202 s
+    after = recording.sel(time=slice(0.22, None))  # first contact at 0.202 s
     heights = after["ball.position"].sel(axis="z").max("time").values - 0.05
     speeds = after["ball.linear_velocity"].sel(axis="x").isel(time=0).values
     expected_heights, expected_speeds = closed_form.expected(recording["touch.law.damping"].values)
     assert len(heights) == 16
-    # The tolerances are those of own_law.py, with their reasons, in test_examples.py.
+    # The tolerances are those of custom_law.py, explained in test_examples.py.
     np.testing.assert_allclose(heights, expected_heights, rtol=0.008)
     np.testing.assert_allclose(speeds, expected_speeds, rtol=0.002)
 

@@ -1,4 +1,4 @@
-"""Mistakes with laws of a user's file: each is named by its key, with file and line where there is one."""
+"""Errors in custom laws of an experiment: each names its key, with file and line if there is one."""
 
 import sys
 
@@ -23,13 +23,13 @@ def custom_type(name, **parameters):
 
 
 def line(text):
-    """The line of the user's file in which ``text`` is."""
+    """Returns the line number of ``text`` in the file of custom laws."""
     return LAWS[: LAWS.index(text)].count("\n") + 1
 
 
 OUTSIDE = ".type must name a file inside of the folder of the experiment, got "
 BAD = [
-    # Parameters, as for those of the catalogue.
+    # Parameters, as for laws of the catalogue.
     (custom_type("Cubic", stiffness=-1), ".stiffness must be greater than 0, got -1 N/m³"),
     (custom_type("Cubic", stiffness="1"), ".stiffness must be a number [N/m³], got '1'"),
     (custom_type("Cubic", stiffness=1, stifness=1), ".stifness is not known; did you mean 'stiffness'?"),
@@ -49,7 +49,7 @@ BAD = [
     (custom_type("helper"), ".type: 'helper' in my_laws.py is no class derived from wc.Law"),
     (custom_type("wc"), ".type: 'wc' in my_laws.py is no class derived from wc.Law"),
     (custom_type("Powerless", stiffness=1), ".type: Powerless.force in my_laws.py must be a wp.func of"),
-    # What only running them tells.
+    # Errors that appear only when the code runs.
     (custom_type("Picky", stiffness=99), f": my_laws.py, line {line('too stiff')}: LookupError: too stiff"),
     (custom_type("Fading", stiffness=1e7), f": my_laws.py, line {line('no table')}: LookupError: no table"),
     (custom_type("Unnamed", stiffness=1), ": Unnamed.coefficients must return stiffness, chi, got no chi"),
@@ -102,7 +102,7 @@ def test_error_in_custom_law_file_is_reported_with_its_line(text, message, folde
     assert problem.startswith("material[0].law.type: my_laws.py")
     assert message in problem
     assert not {name for name in set(sys.modules) - modules if "my_laws" in name}
-    # A file that failed is retried.
+    # A file that failed is read again.
     (folder / "my_laws.py").write_text(LAWS, encoding="utf-8")
     assert wc.Experiment.from_dict(study(), folder)
 

@@ -1,4 +1,4 @@
-"""Designs: rows of any environments alone, distributions, samplings, grids, correlations, files of values."""
+"""Designs: rows of single environments, distributions, sampling methods, grids, correlations, value files."""
 
 import pickle
 
@@ -48,8 +48,8 @@ MIXTURES = [
     ("random", ALL, 2500, TOGETHER),
     ("latin_hypercube", ALL, 2500, TOGETHER),
     ("sobol", ALL, 2500, TOGETHER),
-    ("saltelli", RANDOM, 11 * 256, []),  # a matrix is part of a block
-    ("saltelli", RANDOM, 11 * 2048, []),  # and a block part of a matrix
+    ("saltelli", RANDOM, 11 * 256, []),  # a matrix is a part of a block
+    ("saltelli", RANDOM, 11 * 2048, []),  # a block is a part of a matrix
 ]
 
 
@@ -102,7 +102,7 @@ def test_plan_of_very_large_design_draws_no_samples(method, monkeypatch):
 
     for sampler in (sampling.Random, sampling.LatinHypercube, sampling.Sobol):
         monkeypatch.setattr(sampler, "blocks", blocks)
-    # float64 as it is drawn: a mass, a radius, three components of a velocity, and kappa.
+    # Sampled in float64: a mass, a radius, three components of a velocity, and kappa.
     assert experiment.design.row_bytes == 6 * 8
     plan = experiment.plan(envs=2**31 - 1, device="cpu")
     assert plan.envs == 2**31 - 1
@@ -111,10 +111,10 @@ def test_plan_of_very_large_design_draws_no_samples(method, monkeypatch):
 
 
 def test_unbounded_distributions_are_checked_by_drawing_all_values():
-    """Of a normal mass, and of correlated normal numbers, ends tell nothing."""
+    """The range of a normal mass, or of correlated normal values, cannot be checked at its ends."""
     with pytest.raises(wc.ExperimentError, match=r'variation."ball.mass".*\[\d+'):
         design({"ball.mass": {"normal": [1.0, 0.5]}}, 1000)
-    # Each within what one normal number can be; together they go beyond it.
+    # Each factor is within the range of one normal value; the product exceeds it.
     lowest = 1.0 / 8.0
     variation = {"ball.mass": {"normal": [1.0, lowest]}, "touch.force_scale": {"normal": [0.5, 0.01]}}
     together = [{"names": ["ball.mass", "touch.force_scale"], "matrix": [[1, 0.5], [0.5, 1]]}]
@@ -138,7 +138,7 @@ def test_additional_parameter_does_not_change_random_values_of_others():
 
 
 def test_varied_values_of_a_set_have_unambiguous_environment_axis():
-    """Whatever the number of environments is: as many as there are points, too."""
+    """For any number of environments, also if it equals the number of points."""
     points = [{"name": "corners", "body": "ball", "positions": np.eye(3).tolist()}]
     contact = [content()["contact"][0] | {"points": "corners"}]
     varied = {
@@ -175,8 +175,8 @@ def test_sampled_values_follow_their_distribution(method):
     columns += [(rows["ball.linear_velocity"][:, i], stats.norm(0, 0.1)) for i in (0, 1)]
     columns += [(rows["ball.position"][:, i], stats.norm(mean, 0.01)) for i, mean in enumerate((0, 0, 1))]
     for values, law in columns:
-        # Kolmogorov's statistic of 4096 random numbers exceeds 2.2/√4096 once in 10 000 times; that of points in
-        # even intervals is 1/4096, or a few of them.
+        # Kolmogorov's statistic of 4096 random values exceeds 2.2/√4096 once in 10 000 cases. That of evenly
+        # spaced points is 1/4096, or a few of them.
         distance = stats.kstest(values, law.cdf).statistic
         assert distance < (2.2 / 64 if method == "random" else 5 / 4096)
     assert (rows["ball.linear_velocity"][:, 2] == -1.0).all()
@@ -197,7 +197,7 @@ def test_scipy_distributions_are_sampled_by_quantiles(law):
     mass = values_of({"ball.mass": {"distribution": law}}, 50)["ball.mass"]
     units = values_of({"ball.mass": {"uniform": [1, 2]}}, 50)["ball.mass"] - 1.0
     parameters = {key: value for key, value in law.items() if key != "name"}
-    # 1 + u has lost the last bits of u: an error of 1e-16, over the density times the value.
+    # 1 + u loses the last bits of u: an error of 1e-16, over the density times the value.
     np.testing.assert_allclose(mass, getattr(stats, law["name"]).ppf(units, **parameters), rtol=1e-12)
 
 
@@ -244,14 +244,14 @@ def test_latin_hypercube_has_one_value_in_each_interval():
 def test_sobol_points_match_scipy():
     varied = {"ball.mass": {"uniform": [1, 2]}, "ball.linear_velocity": {"uniform": [[0] * 3, [1] * 3]}}
     rows = values_of(varied, 2048, "sobol", seed=3)
-    points = _sobol_engine(3, 4).random(2048) + 0.5**33  # in the middle of intervals of 32 bits
+    points = _sobol_engine(3, 4).random(2048) + 0.5**33  # centers of intervals of 32 bits
     np.testing.assert_array_equal(rows["ball.mass"], 1.0 + points[:, 0])
     np.testing.assert_array_equal(rows["ball.linear_velocity"], points[:, 1:])
-    # A net: each of 2048 boxes of the same volume holds one point, in every plane of two columns.
+    # A net: each of 2048 boxes of equal volume contains one point, in every plane of two columns.
     for i, j in ((0, 1), (2, 3)):
         boxes = np.floor(points[:, i] * 32) * 64 + np.floor(points[:, j] * 64)
         counts = np.bincount(boxes.astype(int), minlength=2048)
-        assert counts.max() <= 4  # of random points there are boxes with 6 and more
+        assert counts.max() <= 4  # with random points some boxes contain 6 and more
     halves = np.floor(points * 2048)
     assert all(sorted(column) == list(range(2048)) for column in halves.T)
 
@@ -321,7 +321,7 @@ def test_grid_has_all_combinations_with_the_first_varying_slowest():
     assert rows["touch.kappa"].tolist() == [0, 0, 0.5, 0.5, 1, 1] * 2
     assert rows["touch.force_scale"].tolist() == [0.1, 0.2] * 6
     assert len(np.unique(rows["touch.radius"])) == 12
-    # With other numbers of environments it is cut off, or begins again.
+    # For other numbers of environments it is truncated or repeated.
     more = experiment.changed(envs=20).design.rows(0, 20)
     assert more["ball.mass"].tolist() == [*rows["ball.mass"], *rows["ball.mass"][:8]]
     assert experiment.model(envs=5, device="cpu")["ball.mass"].tolist() == [1] * 5
@@ -348,14 +348,14 @@ def test_correlated_normals_have_prescribed_correlation():
         stats.norm.ppf(even),
         stats.norm.ppf(stats.expon.cdf(share)),
     ]
-    # The error of a correlation r of n numbers is (1 − r²)/√n at most 1/128.
+    # The error of a correlation r of n samples is (1 − r²)/√n, at most 1/128.
     np.testing.assert_allclose(np.corrcoef(normals), matrix, atol=4 / 128)
     for values in normals:
         assert stats.kstest(values, "norm").statistic < 2.2 / 128
-    # Of uniform marginals the correlation is (6/π) asin(r/2).
+    # For uniform marginals the correlation is (6/π) asin(r/2).
     both = np.corrcoef(even, stats.expon.cdf(share))[0, 1]
     assert both == pytest.approx(6 / np.pi * np.arcsin(-0.4 / 2), abs=4 / 128)
-    # The first one is drawn as if it were alone.
+    # The first one is sampled as without correlation.
     alone = values_of({"ball.mass": varied["ball.mass"]}, envs)["ball.mass"]
     np.testing.assert_array_equal(mass, alone)
 
@@ -369,7 +369,7 @@ def test_parameter_values_are_read_from_files(tmp_path):
     varied = {"ball.mass": {"values": "masses.csv"}, "ball.linear_velocity": {"values": "velocities.npy"}}
     experiment = wc.Experiment.from_dict(content(envs=4, variation=varied), tmp_path)
     model = experiment.model(device="cpu")
-    # Those of more environments than there are do not matter.
+    # Rows beyond the number of environments are ignored.
     assert model["ball.mass"].tolist() == [1, 2, 3, 4]
     assert model["ball.linear_velocity"].tolist() == np.arange(12.0).reshape(4, 3).tolist()
     assert experiment.model(envs=2, device="cpu")["ball.mass"].tolist() == [1, 2]
@@ -396,7 +396,7 @@ def test_written_experiment_draws_the_same_values(device, tmp_path):
 @pytest.mark.parametrize("method", ["latin_hypercube", "sobol"])
 def test_constant_parameters_are_allowed_with_correlation(method):
     variation = {
-        "ball.position": {"uniform": [[0, 0, 1], [0, 0, 1]]},  # which takes no column
+        "ball.position": {"uniform": [[0, 0, 1], [0, 0, 1]]},  # which uses no column
         "ball.mass": {"lognormal": [0.0, 0.2]},
         "touch.law.stiffness": {"lognormal": [9.0, 0.1]},
     }
@@ -406,4 +406,4 @@ def test_constant_parameters_are_allowed_with_correlation(method):
     )
     assert (rows["ball.position"] == [0, 0, 1]).all()
     found = np.corrcoef(np.log(rows["ball.mass"]), np.log(rows["touch.law.stiffness"]))[0, 1]
-    assert found == pytest.approx(0.8, abs=0.03)  # of 4096 pairs, by more than five deviations
+    assert found == pytest.approx(0.8, abs=0.03)  # for 4096 pairs, more than five standard deviations

@@ -1,4 +1,4 @@
-"""Every mistake in an experiment is found before anything runs, all at once, each named by its key."""
+"""All errors in an experiment are found before it runs and reported together, each with its key."""
 
 import copy
 from math import inf, nan
@@ -31,7 +31,7 @@ FRICTIONS = ", ".join(friction.__name__ for friction in MATERIAL_WITH_FRICTION) 
 
 
 def invalid_study(*changes):
-    """``RIGHT`` with other values: pairs of a place, as a tuple of keys, and what is to be there."""
+    """``RIGHT`` with other values: pairs of a path, as a tuple of keys, and the new value."""
     content = copy.deepcopy(VALID_STUDY)
     for place, value in changes:
         target = content
@@ -66,7 +66,7 @@ BAD = [
     (("record", "evry"), 1, "record.evry is not known; did you mean 'every'?"),
     (("output", "usd_env"), 1, "output.usd_env is not known; did you mean 'usd_envs'?"),
     ((*VARIED, "unifrom"), [1, 2], "variation.\"ball.mass\".unifrom is not known; did you mean 'uniform'?"),
-    # What is missing.
+    # Missing keys.
     (("dt",), REMOVED, "dt is missing: time step [s]"),
     (("duration",), REMOVED, "duration is missing: simulated time [s]"),
     (("body",), REMOVED, "body is missing: an experiment needs a [[body]]"),
@@ -75,7 +75,7 @@ BAD = [
     ((*LAW, "stiffness"), REMOVED, "material[0].law.stiffness is missing: stiffness K [N/mⁿ]"),
     ((*LAW, "type"), REMOVED, f"material[0].law.type is missing: one of {NAMES}"),
     ((*GROUND, "mesh", "shape"), REMOVED, "surface[0].mesh.shape is missing: one of grid, "),
-    # Types: a text is no number, true is not 1.
+    # Types: a text is not a number, and true is not 1.
     (("dt",), "1e-3", "dt must be a number [s], got '1e-3'"),
     (("envs",), 8.0, "envs must be a whole number, got 8.0"),
     (("envs",), True, "envs must be a whole number, got True"),
@@ -263,12 +263,12 @@ BAD = [
 def test_experiment_error_names_the_key(place, value, message):
     problems = problems_of(invalid_study((place, value)))
     assert any(message in problem for problem in problems), problems
-    # And it is the only one: a mistake does not make others appear.
+    # Exactly one problem: an error does not cause others.
     assert len(problems) == 1, problems
 
 
 def test_unknown_names_are_reported_if_the_scene_can_be_built():
-    """As ``docs/experiments.md`` says."""
+    """As documented in ``docs/experiments.md``."""
     unknown = [(("record", "sensors"), ["foo"]), (("variation", "xyz.mass"), {"uniform": [1, 2]})]
     variation, sensor = 'variation."xyz.mass" is not the name', "record.sensors[0] must be the name of a sensor"
 

@@ -1,4 +1,4 @@
-"""Motions in experiment files: tables, variation, recording, classes of one's own, and what is wrong with them."""
+"""Joints in experiment files: tables, variation, recording, custom classes, and errors."""
 
 import copy
 

@@ -1,4 +1,4 @@
-"""Surfaces with several meshes in experiment files: which environment has which, and what the results keep."""
+"""Surfaces with several meshes in experiment files: mesh per environment, and files in the results."""
 
 import json
 import shutil
@@ -10,7 +10,7 @@ from test_experiment_errors import problems_of
 
 import warpcontact as wc
 
-# Two squares of 2 m, in mm: the left half of the second can touch by its group. One face of it is there twice.
+# Two squares of 2 m, in mm. The left half of the second is active by its group. One face is duplicated.
 FLAT = "v -1000 -1000 0\nv 1000 -1000 0\nv 1000 1000 0\nv -1000 1000 0\nf 1 2 3\nf 1 3 4\n"
 HALVES = (
     "v -1000 -1000 100\nv 0 -1000 100\nv 0 1000 100\nv -1000 1000 100\nv 1000 -1000 100\nv 1000 1000 100\n"
@@ -77,7 +77,7 @@ def test_experiment_with_several_meshes_equals_script(device, folder, tmp_path):
     expected = wc.Simulation(model, dt=1e-3).run(0.02, record=["touch.gap", "touch.status"])
     for name in ("touch.gap", "touch.status", "ball.position"):
         np.testing.assert_array_equal(recorded[name].values, expected[name].values)
-    # By hand: the surfaces are at 0, 0.2 and 0 m, and the second cannot be touched where the ball is: no gap.
+    # Hand values: the surfaces are at 0, 0.2 and 0 m, and the second is inactive at the ball: no gap.
     np.testing.assert_allclose(recorded["touch.gap"][0], [0.19, 0, 0.19, 0.19, 0, 0.19], atol=1e-6)
     status = recorded["touch.status"][0]
     assert status[CHOSEN.index(1)] == wc.ContactStatus.INACTIVE
@@ -99,7 +99,7 @@ def test_mesh_index_can_be_a_value_a_list_or_sampled(folder):
     assert np.abs(counts - 1000 / 3).max() < 2
     many = chosen({"uniform": [0, 2]}, envs=3000)
     assert set(many) == {0.0, 1.0, 2.0}
-    # 3000 draws of one in three: the counts deviate by about √(3000 · 1/3 · 2/3) = 26.
+    # 3000 samples of one in three: the standard deviation of the counts is about √(3000 · 1/3 · 2/3) = 26.
     assert np.abs(np.bincount(many.astype(int)) - 1000).max() < 4 * 26
     np.testing.assert_array_equal(chosen({"uniform": [0, 2]}, envs=100), many[:100])
     assert set(chosen({"uniform": [1, 1]})) == {1.0}
@@ -116,7 +116,7 @@ def test_results_store_meshes_and_mesh_index(folder):
     assert stored["ground.mesh"].dims == ("env",)
     assert len(set(chosen)) > 1
 
-    # The written experiment names the files as they are from there, and repeats the run to the bit.
+    # The saved experiment refers to its own copies of the files, and repeats the run bitwise.
     again = wc.Experiment.from_toml(run.files["experiment"])
     named = [mesh.file for mesh in again.settings.surface[0].mesh[:2]]
     assert named == ["../../meshes/flat.obj", "../../meshes/halves.obj"]
@@ -128,7 +128,7 @@ def test_results_store_meshes_and_mesh_index(folder):
     moved = wc.Experiment.from_toml(folder / "other" / "out" / "experiment.toml")
     assert moved.settings == again.settings
 
-    # Each environment of the animation has its mesh, whether it is written by the run or later.
+    # Each environment of the animation has its mesh, in exports by the run and later.
     later = wc.export_usd(
         wc.open_run(folder / "other" / "out").recording,
         folder / "later.usdc",
@@ -237,6 +237,6 @@ def test_invalid_meshes_are_all_reported(folder):
     first, second = problems_of(content(mesh), folder)
     assert first.startswith("surface[0].mesh[0].file: mesh file")
     assert second.startswith("surface[0].mesh[2].file: mesh file")
-    # What they mean for the active faces is unknown, and no second problem.
+    # Active faces of an unreadable mesh are not reported as a second problem.
     (problem,) = problems_of(content([GRID, 5], active_faces=["left"]), folder)
     assert problem.startswith("surface[0].mesh[1] must be a table")

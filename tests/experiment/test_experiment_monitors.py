@@ -1,4 +1,4 @@
-"""Outcomes, stop conditions, events and the quarantine of an experiment file, and what is wrong with them."""
+"""Outcomes, stop conditions, events and the quarantine in experiment files, and errors."""
 
 import copy
 import tomllib

@@ -1,4 +1,4 @@
-"""Experiment files with nonsmooth contact of shapes and of piles: the words are those of Python."""
+"""Experiment files with nonsmooth shape and particle contact use the names of the Python API."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ STUDY = {
 def test_nonsmooth_particles_and_wall_match_closed_form_in_experiment(tmp_path, device):
     run = wc.Experiment.from_dict(STUDY, tmp_path).run(tmp_path / "out", device=device)
     data = run.recording
-    # The first gives the second (1 + e)/2 of its speed, and that is turned round by the wall.
+    # The first gives the second (1 + e)/2 of its speed, and the wall reverses it.
     passed = np.array([0.75, 1.0])
     assert data["pile.normal_force"].values.max(axis=0) == pytest.approx(passed / 1e-3, rel=1e-9)
     assert data["touch.impulse"].values[:, :, 0].min(axis=0) == pytest.approx(-2.0 * passed, rel=1e-9)

@@ -1,4 +1,4 @@
-"""Values given beside an experiment file count as if they stood in it."""
+"""Overrides of an experiment file act like entries of the file."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Particle contacts in experiment files: their words, variations and errors."""
+"""Particle contacts in experiment files: keys, variations and errors."""
 
 import copy
 

@@ -1,4 +1,4 @@
-"""Problems of experiments: all at once, in one message, and those of files, meshes and overrides."""
+"""Problems of experiments are reported in one message, including those of files, meshes and overrides."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_experiment_problems_are_all_reported():
     ]
     missed = [begin for begin in begins if not any(problem.startswith(begin) for problem in found)]
     assert not missed, found
-    # What refers to something that has problems of its own is no problem.
+    # A reference to an element with problems is not a problem.
     assert len(found) == len(begins), found
 
 

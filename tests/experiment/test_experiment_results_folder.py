@@ -1,4 +1,4 @@
-"""The folder of results: what a run leaves there, what it never touches, and what it says about itself."""
+"""The results folder of a run: files, protection of existing files, and run.json."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def test_earlier_run_is_replaced_on_request_only(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(wc.ExperimentError, match="holds an earlier run"):
         wc.Experiment(content()).run(tmp_path, device="cpu")
-    with pytest.raises(wc.ExperimentError, match="device"):  # found before anything is removed
+    with pytest.raises(wc.ExperimentError, match="device"):  # detected before anything is removed
         wc.Experiment(content()).run(tmp_path, device="cuda:99", overwrite=True)
     assert (tmp_path / "data.zarr").exists()
     run = wc.Experiment(content(output={"usd_envs": 0})).run(tmp_path, device="cpu", overwrite=True)
@@ -62,11 +62,11 @@ def test_folder_of_unfinished_run_can_be_reused(tmp_path):
     assert json.loads(summary.read_text())["state"] == "interrupted"
     assert wc.Experiment(content()).run(tmp_path, device="cpu").health.good
     written = json.loads(summary.read_text())
-    summary.write_text(json.dumps(written | {"state": "unfinished"}))  # as of one that was killed
+    summary.write_text(json.dumps(written | {"state": "unfinished"}))  # as for a killed run
     with pytest.raises(wc.ExperimentError, match=r"a run that did not finish; .*\(--resume\)"):
         wc.Experiment(content()).run(tmp_path, device="cpu")
     for path in (tmp_path / "commit").iterdir():
-        path.unlink()  # nothing is lost then
+        path.unlink()  # no data is lost in that case
     assert wc.Experiment(content()).run(tmp_path, device="cpu").health.good
 
 
@@ -91,7 +91,7 @@ def test_folder_of_run_in_progress_is_refused(tmp_path, options):
         assert run_status(tmp_path).state == "running"
         with pytest.raises(wc.ExperimentError, match="is running and writes there"):
             experiment.run(tmp_path, device="cpu", **options)
-        writer.kill()  # however it ends
+        writer.kill()  # for any end of the process
         writer.wait()
     assert run_status(tmp_path).state == "stopped"
     assert experiment.run(tmp_path, device="cpu", **options).digest() == before
@@ -115,7 +115,7 @@ def test_python_warnings_are_stored_and_issued(tmp_path):
 
 
 def test_frozen_environments_are_reported_in_summary(tmp_path):
-    # A force beyond float32 in the last environment only.
+    # A force that overflows float32 in the last environment only.
     stiffness = {"values": [1e4, 1e4, 1e4, 1e38]}
     body = content()["body"][0] | {"position": [0, 0, 0.05]}
     experiment = wc.Experiment(content(body=[body], variation={"touch.law.stiffness": stiffness}))
@@ -142,7 +142,7 @@ def test_picture_is_drawn_for_any_recorded_content(changes, tmp_path):
 
 
 def tracks_of(recording):
-    """The tracks that a picture shows."""
+    """The tracks in a picture."""
     from warpcontact.experiment import picture
 
     chosen = evenly(recording.sizes["env"], picture.TRACKS)
@@ -164,7 +164,7 @@ def test_picture_colors_by_varied_parameter_and_selects_view_plane(tmp_path):
     np.testing.assert_allclose(values, [1, 2, 3, 4])
     assert label.startswith("touch.law.stiffness [N/m")
     assert picture._extent(tracks_of(recording))[0] == [0, 2]
-    recording["touch.law.stiffness"][0, 1] = 7.0  # items that differ are no colour
+    recording["touch.law.stiffness"][0, 1] = 7.0  # items with different values give no color
     assert picture._color_values(recording, list(varied))[1] == "environment"
 
 
@@ -210,7 +210,7 @@ STEP = {"shape": "box", "size": [4.0, 4.0, 0.2]}
 
 
 def drawn(folder, monkeypatch, body=(), **changes):
-    """Runs a small experiment, and returns its recording and the figure of its picture."""
+    """Runs a small experiment; returns its recording and the figure of its picture."""
     from matplotlib.figure import Figure
 
     figures = []
@@ -234,7 +234,7 @@ def test_picture_distinguishes_inactive_faces(tmp_path, monkeypatch):
     x = np.array([path.vertices[:3, 0].mean() for path in faces.get_paths()])
     assert len(x) == 4
     assert (np.ptp(colors[x > 0], axis=1) == 0).all()
-    # No track has the hue: red is the least of the three.
+    # No track has the hue of the ground: red is the smallest component.
     assert (colors[x < 0, 1:].min(axis=1) > colors[x < 0, 0] + 0.1).all()
     assert figure_texts(figure) == ["active faces", "inactive faces, which cannot touch"]
     patches = [handle.get_facecolor()[:3] for handle in figure.legends[0].get_patches()]
@@ -283,11 +283,11 @@ def test_picture_shows_the_mesh_of_the_first_environment(variation, differ, tmp_
     assert ground.shared is not differ
     np.testing.assert_allclose(ground.corners.max(axis=(0, 1)), [4, 4, 0.2])
     assert ground.active.all()
-    # Faces of the box are as wide as it is, those of the grid half as much.
+    # Faces of the box are as wide as the box, those of the grid half of its width.
     assert all(np.ptp(path.vertices[:, 0]) == 8.0 for path in figure.axes[0].collections[0].get_paths())
     assert figure_texts(figure) == []
     assert ("surfaces as in environment 0" in figure.axes[0].get_title("left")) is differ
-    # What is the same everywhere is no colour of tracks.
+    # Parameters that are equal everywhere do not color tracks.
     expected = (
         "ground.mesh\none of 3 varied parameters" if differ else "ball.mass [kg]\none of 2 varied parameters"
     )

@@ -1,4 +1,4 @@
-"""Shapes and shape contacts in experiment files: their words, errors, variations, and patches of one's own."""
+"""Shapes and shape contacts in experiment files: keys, errors, variations, and custom surfaces."""
 
 import numpy as np
 import pytest
@@ -114,7 +114,7 @@ def test_shape_and_contact_problems_are_all_reported(folder):
 
 
 def test_picture_shows_fixed_shapes_gaps_and_forces(tmp_path, device):
-    """Planes fill the window and lie below what is higher; exponents are no sizes; gaps and forces are drawn."""
+    """Planes fill the window below all else; exponents are not sizes; gaps and forces are drawn."""
     from warpcontact.experiment import ground, picture
 
     study = {

@@ -1,4 +1,4 @@
-"""Point sets from meshes and surfaces against surfaces in experiment files."""
+"""Point sets from meshes and surface contact in experiment files."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import warpcontact as wc
 
 
 def content(**changes):
-    """A meshed ball on a plate, and two pins of the ball that a surface carries."""
+    """A meshed ball on a plate, and two pins of the ball that are part of a surface."""
     given = {
         "envs": 2,
         "duration": 0.002,
@@ -62,11 +62,11 @@ def test_surface_contact_in_experiment_equals_python_api(tmp_path):
         expected = model.sensor(name)
         if name == "press_first.normal_force":
             assert expected.max() > 1.0
-            expected[1] *= 2.0  # its share varies
+            expected[1] *= 2.0  # its area weight varies
         np.testing.assert_allclose(made.sensor(name), expected, rtol=1e-12)
     run = experiment.run(tmp_path / "out", device="cpu")
     assert run.recording["press_second.normal_force"].sizes["press_second.item"] == 40
-    # The written experiment says the same.
+    # The saved experiment is equal.
     assert wc.Experiment.from_toml(run.files["experiment"]).settings == experiment.settings
 
 

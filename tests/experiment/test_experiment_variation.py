@@ -1,4 +1,4 @@
-"""What varies between environments: drawn again the same, spaced, listed, or computed."""
+"""Variations between environments: reproducible random values, spaced, listed, or computed."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_random_values_follow_their_distribution():
     mass, radius, velocity = (values[name] for name in VARIED)
     assert 0.2 <= mass.min() < 0.21
     assert 1.99 < mass.max() <= 2.0
-    # 4000 draws leave the median of a unit interval uncertain by 1/(2 √4000) = 0.008.
+    # With 4000 samples, the median of a unit interval has an uncertainty of 1/(2 √4000) = 0.008.
     assert np.median(mass) == pytest.approx(1.1, abs=4 * 0.008 * 1.8)
     assert np.log10(np.median(radius)) == pytest.approx(-1.5, abs=4 * 0.008)
     assert (velocity[:, 2] == -1.0).all()
@@ -36,13 +36,14 @@ def test_random_values_depend_on_the_seed_only():
     for name, values in drawn().items():
         np.testing.assert_array_equal(values, drawn()[name])
         assert not np.array_equal(values, drawn(seed=1)[name])
-        # Neither on what else varies, nor on how many environments follow.
+        # Values depend neither on other variations nor on the number of environments.
         np.testing.assert_array_equal(values, drawn([name])[name])
         np.testing.assert_array_equal(values, drawn(envs=200)[name][:50])
 
 
 def test_random_values_are_equal_in_every_version():
-    # The same file means the same run for good. These are the numbers of version 0.1.0, of normal those after it.
+    # A file means the same run in all versions. These are values of version 0.1.0; normal values are of later
+    # ones.
     values = drawn(envs=1)
     np.testing.assert_allclose(values["ball.mass"], [1.8575271503517654], rtol=1e-12)
     np.testing.assert_allclose(values["touch.radius"], [0.035928239002009234], rtol=1e-12)

@@ -1,4 +1,4 @@
-"""Mistakes in what varies and how it is drawn: each is named by its key, its value and what is allowed."""
+"""Errors in variations and sampling: each names its key, the value and the condition."""
 
 from math import inf, nan
 
@@ -232,7 +232,7 @@ def test_invalid_variation_is_reported_with_its_key(changes, message, tmp_path, 
     monkeypatch.chdir(tmp_path)
     problems = problems_of(content(**changes))
     assert any(message in problem for problem in problems), problems
-    # And it is the only one: a mistake does not make others appear.
+    # Exactly one problem: an error does not cause others.
     assert len(problems) == 1, problems
 
 

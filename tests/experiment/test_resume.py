@@ -1,4 +1,4 @@
-"""Runs that are killed, interrupted or out of disk go on to the bytes of a run that nothing disturbed."""
+"""Runs that were killed, interrupted or out of disk space resume to the bytes of an undisturbed run."""
 
 import json
 import os
@@ -40,7 +40,7 @@ def whole(place):
 
 
 def check_equal(folder, whole):
-    """Checks that a finished run has the bytes of ``whole``, and left nothing else behind."""
+    """Checks that a finished run has the bytes of ``whole`` and no leftover files."""
     assert sharded_runs.hashes(folder) == sharded_runs.hashes(whole.folder)
     assert sharded_runs.leftovers(folder) == []
     run = wc.open_run(folder, verify=True)
@@ -49,7 +49,9 @@ def check_equal(folder, whole):
 
 
 def killed_at_random(out, study, moments, words, whole):
-    """Runs ``study`` with a kill after each of ``moments`` [s] of stepping; returns how many hit it."""
+    """Kills runs of ``study`` after each of ``moments`` [s] of stepping; returns the number of kills before their
+    end.
+    """
     committed, hits = [], 0
     for moment in moments:
         resume = (out / "data.zarr").exists()
@@ -57,7 +59,7 @@ def killed_at_random(out, study, moments, words, whole):
         process = sharded_runs.start_run(
             study, "--out", out, *WORDS[2:], *words, *(() if resume else WORDS[:2]), *options
         )
-        # Importing and compiling takes most of the time, and is of no interest.
+        # Importing and compiling takes most of the time and is not tested here.
         begun = sharded_runs.wait_until(lambda: any((out / "progress").glob("*.json")), process)
         if begun and process.poll() is None:
             try:
@@ -115,7 +117,7 @@ def test_kills_at_random_times_lose_no_committed_results(checkpoint, tmp_path):
     code, _, err = sharded_runs.run(study, "--out", tmp_path / "whole", *WORDS)
     assert code == 0, err
     whole = wc.open_run(tmp_path / "whole")
-    # So that the last kills still find something to do.
+    # So that the last kills still interrupt work.
     moments = [rng.uniform(0.0, 0.04 * whole.summary["wall_time"]) for _ in range(25)]
     out = tmp_path / "out"
     hits = killed_at_random(out, study, moments, ("--checkpoint", checkpoint), whole)
@@ -145,7 +147,7 @@ def test_kills_before_first_commit_leave_a_reusable_folder(place, whole, tmp_pat
     check_equal(out, whole)
 
 
-# Who asks to stop
+# Stop requests
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
@@ -161,7 +163,7 @@ def test_stop_signal_prints_resume_command(number, place, whole, tmp_path):
     assert "Traceback" not in err
     assert wc.open_run(out).summary["state"] == "interrupted"
     committed = sharded_runs.check_committed_results(out, whole)
-    # A piece of steps ends with a block, at the latest.
+    # A chunk of steps ends at the end of a block, at the latest.
     (record,) = committed.values()
     assert 37 <= record["steps"] < 100
     code, _, err = sharded_runs.run("--resume", "--out", out, "--device", "cpu")
@@ -241,7 +243,7 @@ def test_signal_handler_set_during_a_run_is_preserved():
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 def test_second_stop_signal_exits_immediately_and_keeps_committed_results(place, whole, tmp_path):
     out = tmp_path / "out"
-    # A first commit, then steps that end only when all of a block are taken.
+    # A first commit, then a chunk of steps that ends only at the end of a block.
     process = sharded_runs.start_run(
         place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=sharded_runs.COMMIT_OFTEN
     )
@@ -258,7 +260,7 @@ def test_second_stop_signal_exits_immediately_and_keeps_committed_results(place,
     check_equal(out, whole)
 
 
-# Disks that are full
+# Full disks
 
 
 @contextmanager
@@ -311,7 +313,7 @@ def test_full_disk_at_the_start_leaves_no_results(place, tmp_path):
         assert code == 0, err
 
 
-# Nothing that may differ changes the results
+# Options that must not change the results
 
 
 @pytest.mark.parametrize("shard", [1, 7, 64])
@@ -341,7 +343,7 @@ def test_resume_with_another_shard_size_is_refused(place, whole, tmp_path, capsy
     (out / "commit" / "shard_000002.json").unlink()
     assert main([*words, "4"]) == 0
     check_equal(out, whole)
-    # At most so many: all of them are one shard.
+    # ``shard`` is a maximum: all environments are one shard.
     study = wc.Experiment.from_toml(place / "study.toml")
     study.run(tmp_path / "one", device="cpu", shard=100)
     assert study.run(tmp_path / "one", device="cpu", shard=64, resume=True).summary["shard"] == 10
@@ -363,7 +365,7 @@ def test_resume_of_finished_shards_needs_no_memory(ray, place, whole, tmp_path, 
     (out / "run.json").write_text(json.dumps(summary | {"state": "unfinished"}))
     (out / "picture.png").unlink()
     experiment = wc.Experiment.from_toml(place / "study.toml")
-    # Neither here nor anywhere else.
+    # The plan uses no memory limit and no Ray.
     monkeypatch.setattr(resources, "_host", lambda: 1)
     monkeypatch.setattr(cluster, "connect", lambda *_: pytest.fail("there is nothing to run"))
     run = experiment.run(out, device="cpu", resume=True, ray=ray)
@@ -371,7 +373,7 @@ def test_resume_of_finished_shards_needs_no_memory(ray, place, whole, tmp_path, 
     check_equal(out, whole)
 
 
-# Shards that fail
+# Failing shards
 
 
 @pytest.mark.slow

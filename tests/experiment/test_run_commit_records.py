@@ -1,4 +1,4 @@
-"""Records of runs that somebody else wrote: none leads elsewhere, and what is wrong is named."""
+"""Untrusted commit records of runs: no path leads outside of the folder, and errors are named."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Folders of runs in which something is missing, cut off or changed: it is named, and what is good is read."""
+"""Run folders with missing, truncated or changed files: the damage is named, and intact data can be read."""
 
 import hashlib
 import json
@@ -74,7 +74,7 @@ def test_missing_or_truncated_chunks_are_reported(whole_run, copied_run):
 
 
 def drop_entry(folder, name):
-    """Removes a chunk from the record that has it."""
+    """Removes a chunk from its record."""
     for record in (folder / "commit").glob("*.json"):
         content = json.loads(record.read_text())
         if content["files"].pop(name, None) is not None:
@@ -112,7 +112,7 @@ def test_array_missing_with_its_entries_is_reported(whole_run, copied_run):
 def test_block_of_unfinished_shard_missing_with_its_entry_is_reported(whole_run, part_run, copied_run):
     folder = copied_run(part_run)
     name = chunk_of(folder, "series/touch.gap", shard=1).relative_to(folder / "data.zarr").as_posix()
-    for root in ("data.zarr", "staging/shard_000001"):  # it may not be moved yet
+    for root in ("data.zarr", "staging/shard_000001"):  # it may not have been moved yet
         (folder / root / name).unlink(missing_ok=True)
     drop_entry(folder, name)
     with pytest.raises(wc.RunDataError, match=rf"{name}: is missing"):
@@ -210,17 +210,17 @@ def test_changed_bit_is_detected_on_read_and_on_verification(name, whole_run, co
     message = rf"{name}/c/\S+: was changed since it was committed"
     with pytest.raises(wc.RunDataError, match=message):
         wc.open_run(folder, verify=True)
-    run = wc.open_run(folder)  # looks at sizes only
+    run = wc.open_run(folder)  # checks sizes only
     with pytest.raises(wc.RunDataError, match=message):
         run.check()
     with pytest.raises(wc.RunDataError, match=message):
         run.digest()
     group, variable = name.split("/")
     values = getattr(run, group)[variable]
-    values.sel(env=slice(0, 3)).load()  # that of another shard is good
+    values.sel(env=slice(0, 3)).load()  # the chunk of another shard is intact
     with pytest.raises(wc.RunDataError, match=message):
         values.sel(env=[5]).load()
-    # Who reads the arrays without this library is told by the check sum of the chunk.
+    # Other readers of the arrays get an error from the checksum of the chunk.
     with pytest.raises((RuntimeError, ValueError), match=r"checksum|decompression"):
         xr.open_zarr(folder / "data.zarr", group=group, consolidated=False)[variable].load()
 
@@ -238,7 +238,7 @@ def test_digest_reads_each_file_once_and_does_not_depend_on_piece_size(whole_run
     content = CommittedStore._content
 
     def counted(store, key):
-        if store.folder.root == whole_run:  # a read of another folder that failed may still be in progress
+        if store.folder.root == whole_run:  # a failed read of another folder may still be in progress
             read.append(key)
         return content(store, key)
 
@@ -277,7 +277,7 @@ def test_missing_checkpoint_is_reported_and_its_shard_restarts(whole_run, part_r
     ],
 )
 def test_damaged_checkpoint_restarts_its_shard(damage, whole_run, part_run, copied_run):
-    """Also where the record is of an earlier version, which told nothing of its content."""
+    """Also if the record is of an earlier version without a digest of its content."""
     folder = copied_run(part_run)
     record = folder / "commit" / "shard_000001.json"
     content = json.loads(record.read_text())
@@ -344,6 +344,6 @@ def test_checkpoint_with_any_changed_bit_is_refused_or_equal(tmp_path):
         except wc.CheckpointError as error:
             assert str(path) in str(error)  # noqa: PT017
             continue
-        # Times of files, names and the like: the values carry check sums.
+        # Times and names of files, for example; the values have checksums.
         for name in found.keys() & arrays.keys():
             np.testing.assert_array_equal(found[name], arrays[name])

@@ -1,4 +1,4 @@
-"""Folders of runs: what is none is refused, who may go on with one, and what can be read of it."""
+"""Run folders: rejection of other folders, locking and resuming, and reading of results."""
 
 import csv
 import json
@@ -16,7 +16,7 @@ from warpcontact.cli import main
 SHA = "0" * 64
 
 
-# What is no run
+# Folders without a run
 
 
 def test_folder_without_a_run_is_refused(tmp_path):
@@ -95,7 +95,7 @@ def test_complete_run_folder_is_valid(whole_run):
     assert str(whole_run / "data.zarr") in str(run)
 
 
-# Who may go on
+# Resuming and locking
 
 
 def test_run_of_another_experiment_is_reported_with_differing_keys(part_run, copied_run):
@@ -147,7 +147,7 @@ def test_run_in_progress_can_be_read_but_not_resumed(whole_run, tmp_path):
         read()
         os.kill(process.pid, signal.SIGCONT)
         while process.poll() is None and len(seen) < 6:
-            read()  # whatever is committed, moved and removed meanwhile
+            read()  # concurrently with commits, moves and removals
     finally:
         process.send_signal(signal.SIGCONT)
         code, _, err = sharded_runs.wait_for_end(process)
@@ -157,7 +157,7 @@ def test_run_in_progress_can_be_read_but_not_resumed(whole_run, tmp_path):
     assert sharded_runs.hashes(folder) == sharded_runs.hashes(whole_run)
 
 
-# What can be read
+# Reading
 
 
 def test_unfinished_run_shows_committed_results(whole_run, part_run):
@@ -177,7 +177,7 @@ def test_run_without_commits_is_reported(begun, part_run, copied_run, tmp_path, 
     folder = copied_run(part_run)
     for path in (folder / "commit").glob("shard_*.json"):
         path.unlink()
-    if begun:  # a checkpoint of the beginning, and no records yet
+    if begun:  # an initial checkpoint, without records
         shutil.copy(part_run / "commit" / "shard_000001.json", folder / "commit")
         sharded_runs.change(folder / "commit" / "shard_000001.json", frames=0, steps=0, files={})
     resume = f"to resume: warpcontact run --resume --out {folder}"
@@ -190,7 +190,7 @@ def test_run_without_commits_is_reported(begun, part_run, copied_run, tmp_path, 
 
 
 def test_records_only_in_a_checkpoint_are_reported_as_stored(part_run, copied_run, tmp_path, capsys):
-    """Half of a shard is done, and not a whole block of it."""
+    """Half of a shard is done, but no complete block of it."""
     folder = copied_run(part_run)
     for number in (0, 1):
         sharded_runs.change(folder / "commit" / f"shard_{number:06d}.json", frames=0)

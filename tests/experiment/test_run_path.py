@@ -1,4 +1,4 @@
-"""Paths below a run folder: links are not followed, prepared files are not written through, pipes are not read."""
+"""Paths below a run folder: links are not followed or written through, and pipes are not read."""
 
 import fcntl
 import os

@@ -1,4 +1,4 @@
-"""Run folders with planted links and pipes: no command touches a file outside, waits or ends in a traceback."""
+"""Run folders with planted links and pipes: no command accesses files outside, blocks, or prints a traceback."""
 
 import ast
 import os
@@ -76,7 +76,7 @@ FILES = (
 
 
 class Waited(BaseException):
-    """A command waits for the other end of a pipe."""
+    """Raised if a command waits for the other end of a pipe."""
 
 
 @pytest.fixture(autouse=True)
@@ -100,7 +100,7 @@ def place(part_run, tmp_path):
 
 
 def planted(place, name, kind):
-    """Puts a link to a copy outside, a link to nothing, or a pipe in the place of a file or folder of the run."""
+    """Replaces a file or folder of the run by a link to a copy outside, a broken link, or a pipe."""
     folder = place / "run"
     path = folder / name.format(checkpoint=sharded_runs.records(folder)[1]["checkpoint"])
     target = place / "outside" / "target"
@@ -154,7 +154,7 @@ def commands(folder):
 
 CASES = [(name, kind) for name in (*FOLDERS, *FILES) for kind in ("link", "pipe")]
 CASES += [(name, "dangling link") for name in FILES]
-#: Those that every run of the tests takes; the others are slow.
+# Cases of every test run; the others are slow.
 FIRST = {
     *(("progress", kind) for kind in ("link", "pipe")),
     *(
@@ -187,9 +187,9 @@ def test_planted_link_is_not_followed(name, kind, place, capsys):
     capsys.readouterr()
 
 
-# Only ``run_folder`` opens files below a run folder
+# Only ``run_folder`` opens files below a run folder.
 
-# Events of Python's own calls that open, list, make, move or remove what their first arguments name.
+# Audit events of Python's functions that open, list, make, move or remove the path in their first arguments.
 EVENTS = {
     "open": 1,
     **dict.fromkeys(
@@ -204,7 +204,7 @@ EVENTS = {
 
 @pytest.fixture
 def opened_by_path(monkeypatch):
-    """Collects what Python opens, lists, makes, moves or removes below a folder by its path."""
+    """Collects paths below a folder that Python opens, lists, makes, moves or removes by name."""
     found, watched = [], []
 
     def hook(event, arguments):
@@ -216,7 +216,7 @@ def opened_by_path(monkeypatch):
     def below(path):
         return os.path.abspath(path).startswith(f"{watched[0]}/")
 
-    sys.addaudithook(hook)  # which stays, and does nothing after this test
+    sys.addaudithook(hook)  # the hook cannot be removed; it does nothing after this test
     yield lambda folder: watched.append(str(folder)) or found
     watched.clear()
 
@@ -237,18 +237,18 @@ def test_run_folder_is_used_through_descriptors_only(part_run, tmp_path, opened_
     wc.Experiment.from_toml(study).run(folder, overwrite=True, device="cpu", progress=False)
     capsys.readouterr()
     assert (folder / "animation.usdc").is_file()
-    # The experiment and the files that it names are those of the user, wherever they are.
+    # The experiment and its files are read from the user's folder, which may be anywhere.
     assert found == []
 
 
-#: Methods of paths, and functions, that open, list, make, move or remove what a path names.
+# Methods of paths, and functions, that open, list, make, move or remove a path.
 CALLS = {
     *("read_bytes", "read_text", "write_bytes", "write_text", "touch", "unlink", "rmdir", "mkdir", "rename"),
     *("iterdir", "glob", "rglob", "symlink_to", "hardlink_to", "chmod", "fromfile", "tofile", "memmap", "loadtxt"),
     *("genfromtxt", "savetxt", "LocalStore", "open_dataset", "load_dataset", "mkstemp", "mkdtemp"),
     *("NamedTemporaryFile", "TemporaryDirectory"),
 }
-#: The same of these modules.
+# Same for these modules.
 CALLS_OF = {
     "os": {
         *("open", "listdir", "scandir", "walk", "remove", "makedirs", "removedirs", "replace", "link", "symlink"),
@@ -257,7 +257,7 @@ CALLS_OF = {
     "shutil": {"rmtree", "copy", "copy2", "copyfile", "copytree", "move"},
     "io": {"open"},
 }
-#: Modules that use run folders.
+# Modules that use run folders.
 USERS = (
     "experiment",
     "run_report",
@@ -268,20 +268,20 @@ USERS = (
     "cli.py",
 )
 USERS += ("usd/files.py", "usd/clips.py", "viewer/sources.py", "picture_file.py")
-#: Those calls that are no calls of the file system, or are of files elsewhere.
+# Calls that do not access the file system, or access files elsewhere.
 ALLOWED = {
     ("cli.py", "open"),  # the null device, for a closed pipe
-    ("experiment/own.py", "glob"),  # names of laws, for a hint
+    ("experiment/own.py", "glob"),  # names of laws, for a suggestion
     ("experiment/rows_file.py", "loadtxt"),  # of an open file
     ("experiment/trust.py", "mkdir"),  # the state folder of the user
     ("experiment/trust.py", "touch"),
     ("run_report/page.py", "read_text"),  # of the package
-    ("usd/files.py", "TemporaryDirectory"),  # a new folder of a random name
+    ("usd/files.py", "TemporaryDirectory"),  # a new folder with a random name
 }
 
 
 def calls_of_files(path):
-    """Iterates over the calls of a module that are of the file system by a path, and none of a ``RunPath``."""
+    """Yields the file system calls of a module that use a path and not a ``RunPath``."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.Call):
             continue

@@ -1,4 +1,4 @@
-"""Folders of runs with random damage: each is refused with a sentence, or shows the results as they were."""
+"""Run folders with random damage: each is rejected with a message, or shows the unchanged results."""
 
 import json
 import random
@@ -20,7 +20,7 @@ def flip(rng, path, folder):
 
 
 def truncate(rng, path, folder):
-    """Cuts a file off."""
+    """Truncates a file."""
     content = path.read_bytes()
     path.write_bytes(content[: rng.randrange(max(1, len(content)))])
 
@@ -31,7 +31,7 @@ def delete(rng, path, folder):
 
 
 def delete_folder(rng, path, folder):
-    """Deletes a folder with all that is in it."""
+    """Deletes a folder with its content."""
     if path.parent != folder:
         shutil.rmtree(path.parent)
 
@@ -43,7 +43,7 @@ def duplicate(rng, path, folder):
 
 
 def replace(rng, path, folder):
-    """Puts a copy of another file in its place."""
+    """Replaces a file by a copy of another file."""
     shutil.copy(rng.choice(files(folder)), path)
 
 
@@ -66,7 +66,7 @@ def edit(rng, path, folder):
 
 
 def lose(rng, path, folder):
-    """Loses a chunk with its entry in the records."""
+    """Removes a chunk and its entry in the records."""
     chunk = rng.choice([one for one in files(folder / "data.zarr") if "c" in one.parts])
     chunk.unlink()
     for record in (folder / "commit").glob("*.json"):
@@ -83,7 +83,7 @@ def files(folder):
 
 
 def one_of(rng, folder):
-    """Returns a file, of each kind as often as of others, however many there are."""
+    """Returns a random file; all kinds of files are equally likely."""
     kinds = {}
     for path in files(folder):
         kinds.setdefault((path.parent.relative_to(folder).parts[:2], path.suffix), []).append(path)
@@ -91,7 +91,7 @@ def one_of(rng, folder):
 
 
 def run_command(capsys, *words):
-    """Runs a command; returns its exit code. It ends with a sentence, and sends no control characters."""
+    """Runs a command; returns its exit code. Asserts that it ends with a message, without control characters."""
     code = main([str(word) for word in words])
     output = capsys.readouterr()
     assert code in (0, 1, 2, 3)
@@ -115,7 +115,7 @@ def test_random_damage_neither_crashes_nor_changes_verified_results(kind, reques
             try:
                 damage(rng, one_of(rng, folder), folder)
             except (OSError, IndexError):
-                continue  # the file is gone already, or the same
+                continue  # the file is already missing, or the same
         if run_command(capsys, "status", folder, "--verify") == 0:
             verified += 1
             run = wc.open_run(folder)
@@ -130,9 +130,9 @@ def test_random_damage_neither_crashes_nor_changes_verified_results(kind, reques
         if number % 10 == 9:
             done = run_command(capsys, "run", "--resume", "--out", folder, "--device", "cpu")
             if done == 0 and run_command(capsys, "status", folder, "--verify") == 0:
-                # Copies of chunks stay, and are not read.
+                # Copied chunks remain and are not read.
                 assert sharded_runs.hashes(whole).items() <= sharded_runs.hashes(folder).items(), number
         shutil.rmtree(folder)
-    # Not all files are results, such as pictures.
-    assert verified or count < 30  # a few damages may all be found
+    # Some files, such as pictures, are not results.
+    assert verified or count < 30  # with few cases, all damage may be detected
     assert refused > count // 2

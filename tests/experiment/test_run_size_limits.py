@@ -1,4 +1,4 @@
-"""Run folders with extreme array sizes, numbers of shards or depths of folders are refused immediately."""
+"""Run folders with extreme array sizes, numbers of shards or depths of folders are rejected immediately."""
 
 import json
 import shutil
@@ -38,7 +38,7 @@ def write(path, content):
 
 
 def stored(folder, shape, chunks=None, dims=None):
-    """Makes a run with one variable, recorded with the digests of its metadata; returns its expected files."""
+    """Makes a run with one variable and the digests of its metadata; returns its expected files."""
     data = {
         "zarr.json": {"attributes": {"groups": ["params"]}},
         "params/zarr.json": {"attributes": {"variables": ["mass"]}},
@@ -133,7 +133,7 @@ def test_status_of_billions_of_shards_is_fast(tmp_path):
 
 
 def finished(folder, empty=range(4)):
-    """Makes a finished run of one shard, whose chunks are all empty, or have a file; returns its ledger."""
+    """Makes a finished run of one shard; chunks are empty or have a file. Returns its ledger."""
     stored(folder, [4], dims=["env"])
     names = [f"params/mass/c/{k}" for k in range(4)]
     files = {}
@@ -151,7 +151,7 @@ EXTENT = RunExtent(4, 4, 10)
 
 @pytest.mark.parametrize("name", ["x", "0"])
 def test_folders_without_chunks_are_not_entered(name, tmp_path, monkeypatch):
-    """Those that are not of a chunk are named as unknown."""
+    """Folders that contain no chunks are reported as unknown."""
     ledger = finished(tmp_path)
     top = tmp_path / "data.zarr/params/mass/c"
     top.joinpath(*[name] * 20).mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""An experiment that does not fit at once runs in shards, and leaves the same results."""
+"""An experiment that does not fit into memory runs in shards, with the same results."""
 
 import json
 import os
@@ -34,14 +34,14 @@ VARIED = {
 
 
 def varied(**changes):
-    """Environments that differ in what is stored alone and what is stored with that of other bodies."""
+    """Environments that differ in separately and jointly stored quantities."""
     bodies = [*content()["body"], {"name": "rock", "mass": 2.0, "inertia": [1, 1, 1], "position": [0, 0, 5]}]
     sensors = ["touch.gap", "touch.status", "scene.kinetic_energy", "touch.normal"]
     return wc.Experiment(content(envs=11, body=bodies, variation=VARIED, record={"sensors": sensors}, **changes))
 
 
 def stored(run):
-    """Returns the recording in the folder of a run, as somebody reads it who opens it later."""
+    """Returns the recording as read later from the folder of a run."""
     whole = wc.open_run(run.folder).recording.load()
     assert whole.identical(run.recording.load())
     series = xr.open_zarr(run.files["data"], group="series", consolidated=False, chunks=None)
@@ -69,7 +69,7 @@ def test_results_do_not_depend_on_shard_size(shard, shards, at_once, device, tmp
     assert run.summary["shard"] <= shard
     assert run.summary["steps"] == at_once.summary["steps"]
     assert set(run.files) == set(at_once.files)
-    # Pictures of the same values, whatever has to be read for them; animations of environments of many shards.
+    # Pictures and animations are equal for any shards.
     assert run.files["picture"].read_bytes() == at_once.files["picture"].read_bytes()
     assert animation(run) == animation(at_once)
 
@@ -98,8 +98,8 @@ def test_plan_selects_shard_size_by_memory(at_once, device, tmp_path, monkeypatc
 
     plan = varied().plan(device=device)
     assert (plan.envs, plan.shard, plan.shards) == (11, 11, 1)
-    assert "11 environments: one shard" in str(plan)
-    # Room for some of them, in steps in which one environment counts.
+    assert "11 environments: all at once" in str(plan)
+    # Memory for some of them, in steps that resolve single environments.
     monkeypatch.setattr(footprint, "CAUTIOUS_FRACTION", 0.85)
     monkeypatch.setattr("warpcontact.experiment.plan.COMFORTABLE", 0.85)
     place = plan.footprint.locations[-1]
@@ -118,11 +118,11 @@ def test_plan_selects_shard_size_by_memory(at_once, device, tmp_path, monkeypatc
 
 
 def test_plan_considers_memory_of_all_devices(monkeypatch):
-    """What fits on the first may be too much for the second."""
+    """A shard that fits on the first device may be too large for the second."""
     memory = ModelPlan.memory
 
     def with_gpus(draft, envs, *varied, **stepping):
-        """Each part takes memory of a GPU of its own, too."""
+        """Each part needs memory of a separate GPU as well."""
         shares = enumerate(draft.shares(envs))
         needs = [MemoryItem("state", f"cuda:{number}", own * MIB, MIB / 2) for number, (_, own) in shares]
         return memory(draft, envs, *varied, **stepping).with_items(needs)
@@ -131,7 +131,8 @@ def test_plan_considers_memory_of_all_devices(monkeypatch):
     monkeypatch.setattr(resources, "_host", lambda: None)
     monkeypatch.setattr(resources, "_device", {"cuda:0": 100 * MIB, "cuda:1": 4 * MIB}.get)
     plan = varied().plan(device=["cpu", "cpu"])
-    # Of 5, 3 would be on the first and 2, up to 70 % of what there is, on the second; 3 shards of 4 do as well.
+    # For shards of 5, 3 would be on the first and 2 on the second, with up to 70 % of its memory; 4 also gives 3
+    # shards.
     assert (plan.shard, plan.shards) == (4, 3)
     assert "available: 4 MiB of the memory of cuda:1" in str(plan)
     with pytest.raises(
@@ -141,7 +142,7 @@ def test_plan_considers_memory_of_all_devices(monkeypatch):
 
 
 def test_frozen_environments_keep_their_numbers_in_shards(device, tmp_path):
-    # A force beyond float32 in some environments, of several shards.
+    # A force that overflows float32 in some environments, in several shards.
     stiffness = {"values": [1e4, 1e4, 1e38, 1e4, 1e38, 1e4, 1e38]}
     body = content()["body"][0] | {"position": [0, 0, 0.05]}
     experiment = wc.Experiment(content(envs=7, body=[body], variation={"touch.law.stiffness": stiffness}))
@@ -167,7 +168,7 @@ def test_padding_environment_of_the_last_batch_is_not_reported(device, tmp_path)
 
 
 def test_point_set_with_as_many_points_as_a_shard_has_environments_is_unambiguous(device, tmp_path):
-    """Of three environments, a value for each is no value for each of three points."""
+    """With three environments, values per environment are not mistaken for values of three points."""
     points = [{"name": "centre", "body": "ball", "positions": np.eye(3).tolist()}]
     values = {"touch.law.stiffness": {"linspace": [1e4, 2e4]}, "centre.position": {"uniform": [[0] * 3, [1] * 3]}}
     raw = content(envs=6, point=[], points=points, variation=values)
@@ -183,7 +184,7 @@ def test_warnings_in_shards_name_global_environment_numbers(device, tmp_path):
     with pytest.warns(wc.ContactWarning, match="in environment 4, "):
         run = experiment.run(tmp_path / "out", device=device, shard=2)
     assert sum("is too long" in line for line in run.summary["warnings"]) == 1
-    # Of a kind that the first shard has warned of, one is enough.
+    # A kind of warning that the first shard has printed is not repeated.
     stiffness = {"values": [1e3, 1e7, 1e3, 1e3, 2e7, 1e3]}
     experiment = wc.Experiment(content(envs=6, variation={"touch.law.stiffness": stiffness}))
     with pytest.warns(wc.ContactWarning, match="in environment 1, "):
@@ -203,7 +204,7 @@ def test_progress_bar_counts_steps_of_all_shards(device, tmp_path, monkeypatch):
 
     monkeypatch.setattr(tqdm, "tqdm", Bar)
     wc.Experiment(content(envs=5)).run(tmp_path / "out", device=device, shard=2, progress=True)
-    # That of the animation is not shown, and does not count.
+    # The bar of the animation is not shown and does not count.
     assert [(bar.total, bar.n) for bar in bars if bar.n] == [(5 * 20, 5 * 20)]
     assert bars[0].desc.startswith("5 environments in 3 shards")
 
@@ -238,7 +239,7 @@ def test_interrupted_run_keeps_finished_shards_and_resumes(device, tmp_path, mon
 
 def test_values_out_of_range_are_detected_before_files_are_removed(device, tmp_path):
     wc.Experiment(content()).run(tmp_path, device=device)
-    scale = {"values": [1.0, 1.0, 1.0, 1e-60]}  # positive, and zero in float32
+    scale = {"values": [1.0, 1.0, 1.0, 1e-60]}  # positive, but zero in float32
     experiment = wc.Experiment(content(variation={"touch.radius": {"value": 0.1}, "ground.scale": scale}))
     with pytest.raises(ValueError, match="does not fit into float32"):
         experiment.run(tmp_path, device=device, overwrite=True, shard=2)
@@ -263,7 +264,7 @@ def test_shards_are_of_equal_and_round_size():
         assert 1 <= size <= max(1, min(most, envs))
         if size < envs:
             shards = -(-envs // size)
-            # Rounding costs a thirtieth, and hardly a shard.
+            # Rounding of the size costs at most 1/32, and rarely one more shard.
             assert size * shards < envs * 33 / 32 + size
             assert shards <= -(-envs // most) * 33 / 32 + 1
             assert size % (1 << max(0, most.bit_length() - 6)) == 0
@@ -339,9 +340,10 @@ print(told("VmHWM") - before, plan.footprint.host_bytes)
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="asks Linux how much memory a process has")
 @pytest.mark.parametrize("shard", [36864, 73728], ids=["shards", "at once"])
 def test_experiment_plan_matches_memory_of_its_run(shard, tmp_path):
-    """Within 15 %, from the start to the picture, of two shards as of one.
+    """Within 15 %, from start to picture, for one and two shards.
 
-    There are so many environments that what threads leave with the allocator, which varies by 15 MB, is little.
+    The number of environments is so large that the memory that threads keep in the allocator, which varies by 15
+    MB, is small.
     """
     words = [sys.executable, "-c", PEAK, str(EXAMPLE), str(tmp_path), "73728", str(shard)]
     result = subprocess.run(words, capture_output=True, text=True, check=False)
@@ -354,9 +356,9 @@ def test_experiment_plan_matches_memory_of_its_run(shard, tmp_path):
     ("envs", "frames", "block"),
     [
         (2**17, 3, 3),
-        (2**17, 8, 4),  # 4 MiB at least
+        (2**17, 8, 4),  # at least 4 MiB
         (2**17, 100, 13),  # an eighth
-        (2**17, 1000, 32),  # 32 MiB at most
+        (2**17, 1000, 32),  # at most 32 MiB
         (2**23, 10, 1),
         (1, 10, 10),
         (1, 0, 1),
@@ -371,7 +373,7 @@ def test_blocks_of_frames_have_bounded_size(envs, frames, block):
 
 
 def test_stop_request_at_the_end_of_a_shard_is_handled(device, tmp_path, monkeypatch):
-    """Where a shard takes no time, nearly every Ctrl-C comes between the last look and the commit."""
+    """If a shard takes almost no time, most Ctrl-C arrive between the last check and the commit."""
     finish = shards._ShardAttempt._finish
     finished = []
 
@@ -401,7 +403,7 @@ def test_failed_run_can_be_resumed(device, tmp_path, monkeypatch):
         patch.setattr(ShardRunner, "run", fails)
         with pytest.raises(OSError, match="No space left"):
             wc.Experiment(content(envs=6)).run(tmp_path, device=device, shard=2)
-    # In the same process, which is alive.
+    # In the same process, which is still running.
     kept = wc.open_run(tmp_path)
     assert kept.summary["state"] == "failed"
     assert "No space left" in kept.summary["error"]
@@ -415,7 +417,7 @@ def test_uncommitted_results_are_ignored(device, tmp_path):
         content(outcome={"never": {"type": "FirstTime", "of": "touch.normal_force", "above": 1e9}})
     )
     run = experiment.run(tmp_path, device=device)
-    assert np.isnan(run.outcome["never"]).all()  # of which no chunk is written
+    assert np.isnan(run.outcome["never"]).all()  # no chunk is written for it
     zarr.open_group(run.files["data"], path="outcome", mode="r+")["never"][:] = 1.25
     again = wc.open_run(tmp_path, verify=True)
     assert np.isnan(again.outcome["never"]).all()

@@ -1,4 +1,4 @@
-"""Pipes, devices and far too large files instead of files of a user or a run are refused, and nothing waits."""
+"""Pipes, devices and oversized files instead of files of a user or a run are rejected without blocking."""
 
 import os
 import shutil
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and devices of
 
 @pytest.fixture(autouse=True)
 def no_waiting():
-    """Ends a test that waits for the other end of a pipe, or reads without an end."""
+    """Ends a test that blocks on a pipe or reads forever."""
 
     def late(*_):
         raise KeyboardInterrupt
@@ -49,7 +49,7 @@ def with_mesh(path):
     return wc.Experiment.from_dict(content(surface=surface), path.parent)
 
 
-# What reads a file of the user, by its name.
+# Functions that read a file of the user, by file name.
 READERS = {
     "study.toml": wc.Experiment.from_toml,
     "laws.py": with_law,
@@ -74,7 +74,7 @@ def test_special_file_of_the_user_is_refused(name, kind, tmp_path):
     begin = time.monotonic()
     with pytest.raises((ValueError, OSError), match=r"not a regular file|must name a file inside of") as error:
         READERS[name](path)
-    assert time.monotonic() - begin < 5.0  # of a second; the machine may be busy
+    assert time.monotonic() - begin < 5.0  # fraction of a second; the machine may be busy
     assert name in str(error.value)
 
 
@@ -125,12 +125,12 @@ def test_too_large_commit_record_is_refused(name, part_run, tmp_path):
         acts = [lambda: main(["status", str(folder)])]
     else:
         acts = [lambda: main(["status", str(folder), "--verify"]), lambda: wc.open_run(folder)]
-    if name.endswith(".json") and not name.startswith("progress"):  # a resumed run has the settings of its study
+    if name.endswith(".json") and not name.startswith("progress"):  # a resumed run uses the settings of its study
         study = sharded_runs.study(tmp_path)
         acts.append(lambda: wc.Experiment.from_toml(study).run(folder, resume=True))
     for act in acts:
         try:
-            assert act() in (1, 2)  # 1: the results are not those that were committed
+            assert act() in (1, 2)  # 1: results differ from those that were committed
         except (ValueError, OSError) as error:
             assert f"{folder / name}" in str(error)  # noqa: PT017
             assert "has 1 GiB" in str(error)  # noqa: PT017

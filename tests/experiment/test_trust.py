@@ -1,4 +1,4 @@
-"""Python files of a run folder are run if a run of this user has written them, or if they were trusted."""
+"""Python files of a run folder are executed only if a run of this user wrote them, or if they are trusted."""
 
 import hashlib
 import os
@@ -37,7 +37,7 @@ class Deepest(wc.outcomes.Max):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A folder with a study, which has files of laws and outcomes, and with a run of it that has not drawn yet."""
+    """A folder with a study that has files of custom laws and outcomes, and its run without a picture."""
 
     def interrupt(stage):
         if stage == "writing":
@@ -71,7 +71,7 @@ def run(made, tmp_path):
 
 @pytest.fixture
 def foreign_run(run, monkeypatch, tmp_path):
-    """The same, from another user."""
+    """The same run, from another user."""
     monkeypatch.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", str(tmp_path / "mine"))
     return run
 
@@ -81,7 +81,7 @@ def has_run_code(folder):
 
 
 def commands(folder):
-    """All that reads the scene or the experiment of a run folder, by names."""
+    """All functions and commands that read the scene or the experiment of a run folder, by name."""
     text, file = str(folder), str(folder / "experiment.toml")
     return {
         "resume": ["run", "--resume", "--out", text, "--device", "cpu"],
@@ -170,7 +170,7 @@ def test_files_are_trusted_by_their_content(foreign_run):
 
 
 def test_cluster_worker_runs_the_files_of_its_run(foreign_run):
-    """Also where the user of the worker has no record of them."""
+    """Also if the user of the worker has no record of them."""
     digests = tuple(trust.digest_of((foreign_run / name).read_bytes()) for name in ("laws.py", "outcomes.py"))
     summary = read_summary(foreign_run)
     with pytest.raises(wc.ExperimentError, match=r"would run outcomes\.py, Python"):
@@ -180,7 +180,7 @@ def test_cluster_worker_runs_the_files_of_its_run(foreign_run):
 
 
 def test_study_of_the_user_needs_no_flag(study, foreign_run, capsys):
-    """Also one whose run is from elsewhere: what is run is the file next to the study."""
+    """Also if its run is from another user: the executed file is the one next to the study."""
     (study / "ran").unlink(missing_ok=True)
     (foreign_run / "laws.py").write_text("raise AssertionError\n")
     assert main(["run", str(study / "study.toml"), "--resume", "--out", str(foreign_run), "--device", "cpu"]) == 0
@@ -202,7 +202,7 @@ def test_trust_in_a_run_is_kept_when_its_view_is_refreshed(foreign_run, monkeypa
     digests = [trust.digest_of((foreign_run / name).read_bytes()) for name in ("laws.py", "outcomes.py")]
     sharded_runs.change(foreign_run / "run.json", state="unfinished")
     source = RunSource(foreign_run, trust=digests)
-    sharded_runs.change(foreign_run / "run.json", wall_time=1.0)  # as if more were committed
+    sharded_runs.change(foreign_run / "run.json", wall_time=1.0)  # as if more had been committed
     assert source.refresh()
     assert source.run.settings.outcome
     assert not trust.records().exists()

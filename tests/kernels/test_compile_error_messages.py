@@ -1,4 +1,4 @@
-"""Usual mistakes in a custom law or friction model: the message names the line and what to write instead."""
+"""Common errors in a custom law or friction model: the message names the line and the correction."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""Rules of the device code: imports, literals, constants, length of files; every kernel compiles."""
+"""Rules of device code: imports, literals, constants, length of files; every kernel compiles."""
 
 import ast
 import functools
@@ -74,7 +74,7 @@ def test_device_functions_have_no_arithmetic_on_literals():
 
 
 def test_kernel_variables_are_not_initialized_by_a_cast_constant():
-    """After ``x = real(C)`` of a constant of that type Warp lets loops change C with x; ``x = C`` is a copy."""
+    """After ``x = real(C)`` with a constant of that type, loops in Warp change C with x; ``x = C`` is a copy."""
     cast = ("real", "wp.float64")
     found = []
     for file, tree in TREES.items():
@@ -107,7 +107,7 @@ def test_source_files_are_short():
 
 
 def find_factories():
-    """Yields every kernel factory by precision with its switches: whether bodies have motions, or roll."""
+    """Yields every kernel factory by precision with its switches: whether bodies have joints, and rolling."""
     for _, name, _ in pkgutil.walk_packages([str(FOLDER)], "warpcontact.kernels."):
         module = importlib.import_module(name)
         for key, value in vars(module).items():

@@ -1,4 +1,4 @@
-"""Rotations on the host, and in kernels."""
+"""Rotations on the host and in kernels."""
 
 import numpy as np
 import pytest
@@ -17,12 +17,12 @@ def test_shortest_rotations_reach_every_direction_without_twist(start):
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     found = shortest_rotations(start, directions)
     reached = transform_points(np.broadcast_to(start, (5, 10, 1, 3)), np.zeros((5, 10, 3)), found)[..., 0, :]
-    # Near the opposite direction 1 + dot, of 1e-14, has two digits: then its square is what rounding leaves.
+    # Near the opposite direction, 1 + dot is 1e-14 with two digits; its root is the rounding error.
     np.testing.assert_allclose(reached, directions, atol=1e-6)
     np.testing.assert_allclose(reached.reshape(-1, 3)[3:], directions.reshape(-1, 3)[3:], atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1.0, rtol=1e-12)
     np.testing.assert_allclose(found[..., :3] @ start, 0.0, atol=1e-12)
-    # The angle is that between both, not the way round.
+    # The angle is the smaller one between both directions.
     cosines = directions @ start
     np.testing.assert_allclose(2.0 * found[..., 3] ** 2 - 1.0, cosines, atol=1e-12)
     assert (found[..., 3] >= 0.0).all()
@@ -35,7 +35,7 @@ def test_shortest_rotation_is_unique_for_opposite_directions():
 
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 def test_rotation_matrix_matches_quaternion_of_any_length(real, device):
-    """To rounding: what is placed by one is where the other sees it."""
+    """To rounding, so that points placed with one are found with the other."""
     kind = wp.dtype_from_numpy(real)
     quat, vec3 = (wp.quatf, wp.vec3f) if real is np.float32 else (wp.quatd, wp.vec3d)
     matrix = rotations.functions(kind).matrix
@@ -61,7 +61,7 @@ def test_rotation_matrix_matches_quaternion_of_any_length(real, device):
 @pytest.mark.parametrize("cached", [True, False], ids=["cached", "not"])
 @pytest.mark.parametrize("excess", [1e-4, -1e-3])
 def test_contact_of_body_with_unnormalized_quaternion_is_at_its_position(excess, cached, device):
-    """A point 0.5 m beside a body that is turned by 180° about z comes to x = 0 at 1 m/s, after 0.1 m."""
+    """A point 0.5 m off a body that is rotated by 180° about z reaches x = 0 at 1 m/s, after 0.1 m."""
     scene = wc.Scene(gravity=(0, 0, 0))
     wall = scene.add_surface(square(half=5.0), orientation=(0, np.sqrt(0.5), 0, np.sqrt(0.5)), name="wall")
     body = scene.add_body(
@@ -75,5 +75,5 @@ def test_contact_of_body_with_unnormalized_quaternion_is_at_its_position(excess,
     sim.step(998)
     assert model.sensor("touch.normal_force")[0] == 0.0
     sim.step(6)
-    # A position after so many steps is rounded to less than a step's way, of 0.1 mm.
+    # The accumulated rounding of the position is below the displacement of one step, 0.1 mm.
     assert model.sensor("touch.normal_force")[0] > 0.0

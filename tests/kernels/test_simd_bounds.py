@@ -1,4 +1,4 @@
-"""Bounds of several remembered faces at once are those of one after the other."""
+"""SIMD bounds of several cached faces equal those evaluated one by one."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from warpcontact.kernels.types import structs
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
 def test_tied_faces_are_found_among_stored_faces_only(real, device):
-    """And are not the first, wherever in a row of lists one begins, and whatever lies in places without a face."""
+    """Excludes the nearest face, for any start in a row of lists and any values in unused entries."""
     vec3, tell = structs(real).vec3, candidates_within(real)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -51,6 +51,6 @@ def test_tied_faces_are_found_among_stored_faces_only(real, device):
     assert not told[..., WIDTH:].any()
     with np.errstate(invalid="ignore"):
         least = distance + np.einsum("efk,ek->ef", slope, gone) - slack
-    # None of them hangs on rounding.
+    # No comparison depends on rounding.
     assert (np.abs(least[there] - nearest) > 16 * np.finfo(kind).eps).all()
     np.testing.assert_array_equal(told[..., :WIDTH].reshape(envs, faces), there & (least <= nearest) & (row != 5))

@@ -1,4 +1,4 @@
-"""Arrays lie as kernels are told: an address that is told wrong is one of something else."""
+"""Kernels address arrays with the declared strides."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def arrays_of(struct):
 
 
 def layout_of(instance, tell):
-    """Returns where each array of a struct begins, and its strides, as a thread has them, told before or not."""
+    """Returns address and strides of each array of a struct as seen by a thread, with or without declared strides."""
     struct = instance._cls
     names = arrays_of(struct)
     lines = [
@@ -87,7 +87,7 @@ def test_array_strides_match_the_declared_layout(fill, celled, precision, monkey
             if array is None or not array.size:
                 continue
             key = f"{instance._cls.cls.__name__}.{name}"
-            # A stride along which there is one item leads nowhere.
+            # The stride along an axis with one item is not used.
             leads = [False, False, False]
             leads[0] = True
             leads[1 : 1 + kind.ndim] = [length > 1 for length in array.shape]

@@ -1,7 +1,8 @@
-"""A process that loads mesh files one after the other and says of each what came of it: see test_mesh_fuzz.
+"""A process that loads mesh files one after the other and reports the result of each; see test_mesh_fuzz.
 
-Run with the limit on processor time in seconds. Every file is read as by ``load_mesh``, but the process apart is a
-fork of this one, where there are forks, and has its imports: starting Python takes longer than most files.
+The argument is the limit on processor time in seconds. Every file is read as by ``load_mesh``, but if the system
+supports it, the sandboxed process is a fork of this one that has its imports already. Starting Python takes longer
+than reading most files.
 """
 
 import contextlib
@@ -17,7 +18,7 @@ BUGS = ("the reader process failed", "the reader process answered")
 
 
 class Fork:
-    """What ``isolation`` uses of a ``subprocess.Popen``, without a new Python."""
+    """Replacement for the ``subprocess.Popen`` used by ``isolation``, without a new Python process."""
 
     def __init__(self, *_, **__):
         (into, self._in), (self._out, out), (self._errors, errors) = os.pipe(), os.pipe(), os.pipe()
@@ -59,7 +60,7 @@ class Fork:
 
 
 def verdict(load):
-    """What comes of loading a mesh: "mesh" or "refused", or what is wrong with that."""
+    """Result of loading a mesh: "mesh", "refused", or a description of the error."""
     try:
         mesh = load()
     except MeshError as error:

@@ -1,4 +1,4 @@
-"""Mesh files: what every format gives, what damaged and hostile ones are refused for, what real ones hold."""
+"""Mesh files: results of all formats, rejection of damaged and malicious files, and real files."""
 
 import copy
 import json
@@ -241,7 +241,7 @@ def test_real_mesh_report_matches_trimesh(shared_data, name):
     report = mesh.report
     loaded = trimesh.load_scene(path, process=False, maintain_order=True).to_geometry()
     np.testing.assert_allclose(mesh.vertices[mesh.faces], loaded.triangles, rtol=1e-12, atol=1e-12)
-    # Welded independently, and exactly: trimesh itself merges within 1e-8.
+    # Welded independently and exactly; trimesh itself merges within 1e-8.
     places, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     welded = trimesh.Trimesh(places, index.reshape(-1)[mesh.faces], process=False)
     assert report.welded_vertex_count == len(places)

@@ -1,4 +1,4 @@
-"""What the formats allow and files in the wild use: polygons, byte orders, strides, strips, nodes."""
+"""Variants of mesh formats in real files: polygons, byte orders, strides, strips, nodes."""
 
 import json
 import struct
@@ -19,7 +19,7 @@ def area_vectors(v, faces):
 
 
 def star(points, turn):
-    """A star, which is not convex, in a plane of its own."""
+    """A nonconvex star in a rotated plane."""
     angle = np.linspace(0, 2 * np.pi, 2 * points, endpoint=False)
     radius = np.where(np.arange(2 * points) % 2, 0.4, 1.0)
     return np.column_stack((radius * np.cos(angle), radius * np.sin(angle), 0 * angle)) @ turn
@@ -69,7 +69,7 @@ def test_polygons_with_many_vertices_must_be_convex():
 
 
 def ply(order, faces, kind="int", extra=False):
-    """A binary PLY of the tetrahedron with an element between, and properties nobody asked for."""
+    """A binary PLY of the tetrahedron with an additional element and unused properties."""
     name = {"<": "little", ">": "big"}[order]
     color = "property uchar red\n" if extra else ""
     texture = "property list uchar float texcoord\n" if extra else ""
@@ -111,7 +111,7 @@ def test_ply_with_triangles_and_quads_is_read(tmp_path):
 
 
 def gltf(nodes, primitives, accessors, blob, **more):
-    """A GLB of its parts; every accessor has a view of its own."""
+    """A GLB of given parts; every accessor has a separate view."""
     views = [{"buffer": 0, **accessor.pop("view")} for accessor in accessors]
     for i, accessor in enumerate(accessors):
         accessor["bufferView"] = i
@@ -132,7 +132,7 @@ POINTS = TETRAHEDRON.astype("<f4")
 
 def parts(indices, mode, dtype="<u1"):
     code = {"<u1": 5121, "<u2": 5123, "<u4": 5125}[dtype]
-    # Vertices are interleaved with something else.
+    # Vertices are interleaved with other data.
     rows = np.column_stack((POINTS, np.full((4, 1), 9, "<f4"))).tobytes()
     data = np.array(indices, dtype).tobytes()
     accessors = [
@@ -148,8 +148,8 @@ def parts(indices, mode, dtype="<u1"):
     ("indices", "mode"),
     [
         (OUTWARD.ravel(), 4),
-        ([0, 2, 1, 3, 0, 2], 5),  # a strip around
-        ([0, 2, 1, 3, 3, 1, 1, 3, 0, 2], 5),  # two in one, joined by repeated corners
+        ([0, 2, 1, 3, 0, 2], 5),  # a closed strip
+        ([0, 2, 1, 3, 3, 1, 1, 3, 0, 2], 5),  # two in one, joined by repeated vertices
     ],
 )
 @pytest.mark.parametrize("dtype", ["<u1", "<u2", "<u4"])

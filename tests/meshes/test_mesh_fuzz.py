@@ -1,6 +1,6 @@
-"""Mutated files: no crash, no hang, no mesh with a bad index or vertex, whatever is in a file.
+"""Mutated mesh files: no crash, no hang, and no mesh with an invalid index or vertex.
 
-Every mutant goes the whole way of ``load_mesh``, under its limits, in a process that must outlive all of them.
+Every mutant is loaded with ``load_mesh`` and its limits, in one process that must survive all of them.
 """
 
 import contextlib
@@ -24,11 +24,11 @@ from warpcontact.meshes import MeshError, examine_file, load_mesh
 
 HANG = 20.0  # s
 QUICK, MANY = 40, 200
-LARGE = 200_000  # bytes, beyond which few mutants are made of a file
+LARGE = 200_000  # bytes; few mutants are made of larger files
 
 
 def originals(folder, shared):
-    """Files of every format: small ones made here, and real ones, if they are there."""
+    """Files of every format: small ones made here, and real ones, if available."""
     from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
     ball = trimesh.creation.icosphere(subdivisions=1)
@@ -96,31 +96,31 @@ WORDS = [0, 1, 3, 255, 2**15, 2**31 - 1, 2**31, 2**32 - 1]
 
 
 def mutant(sources, rng):
-    """One of ``sources``, changed in one of the ways in which files are damaged or attacked."""
+    """One of ``sources``, changed in a way in which files are damaged or attacked."""
     data = bytearray(sources[rng.integers(len(sources))])
     if len(data) > LARGE and rng.random() < 0.9:
         data = bytearray(sources[0])
     for _ in range(rng.integers(1, 4)):
-        # Half of the time near the front, where the headers are.
+        # Half of the changes are near the front, where the headers are.
         at = int(rng.integers(min(len(data), 300) if rng.random() < 0.5 else len(data)) if data else 0)
         match rng.integers(6):
             case 0:  # bits
                 for place in rng.integers(0, max(len(data), 1), rng.integers(1, 9)):
                     if place < len(data):
                         data[place] ^= 1 << rng.integers(8)
-            case 1:  # cut short
+            case 1:  # truncated
                 del data[at:]
-            case 2:  # a piece of it elsewhere
+            case 2:  # a part copied to another position
                 length = int(rng.integers(1, 200))
                 start = int(rng.integers(max(len(data), 1)))
                 data[at : at + int(rng.integers(0, 200))] = data[start : start + length]
-            case 3:  # a number of a header
+            case 3:  # a number in a header
                 data[at : at + 4] = int(rng.choice(WORDS)).to_bytes(4, "little")
-            case 4:  # a number of a text
+            case 4:  # a number in a text
                 spans = [i for i in range(max(at - 40, 0), min(at + 40, len(data))) if chr(data[i]).isdigit()]
                 if spans:
                     data[spans[0] : spans[0] + 1] = NUMBERS[rng.integers(len(NUMBERS))]
-            case 5:  # a piece taken out
+            case 5:  # a part removed
                 del data[at : at + int(rng.integers(1, 60))]
     return bytes(data)
 
@@ -131,7 +131,7 @@ class Loader:
     Args:
         seconds: Limit on processor time that is given to ``load_mesh`` [s].
         hang: Processor time that a file may take [s].
-        wait: Time on the clock after which the process is ended [s]; long, as other processes may be busy.
+        wait: Wall-clock time after which the process is killed [s]; long, because other processes may be busy.
     """
 
     def __init__(self, seconds=HANG - 1.0, hang=HANG, wait=30.0 * HANG):
@@ -143,7 +143,7 @@ class Loader:
         assert self.process.stdout.readline() == "ready\n"
 
     def load(self, path):
-        """What came of a file: "mesh", "refused", or what must not be."""
+        """Returns the result for a file: "mesh", "refused", or a failure."""
         timer = threading.Timer(self.wait, self.process.kill)
         timer.start()
         try:
@@ -176,7 +176,7 @@ def sources(tmp_path_factory):
 
 
 def fuzz(kind, count, sources, folder):
-    """Loads ``count`` mutants of a format and returns how many came to what."""
+    """Loads ``count`` mutants of a format; returns the number of each result."""
     seen = {"mesh": 0, "refused": 0}
     with Loader() as loader:
         for seed in range(count):

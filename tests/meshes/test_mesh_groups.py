@@ -1,4 +1,4 @@
-"""Groups of faces: where they come from, how they go with the mesh, how they choose what can touch."""
+"""Groups of faces: sources, transformations with the mesh, and selection of active faces."""
 
 import copy
 import json

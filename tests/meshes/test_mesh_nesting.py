@@ -1,4 +1,4 @@
-"""Which closed parts lie in which, at any number of parts, closed or open."""
+"""Nesting of closed components, for any number of components, closed or open."""
 
 import time
 import tracemalloc
@@ -29,7 +29,7 @@ def test_many_open_components_need_no_pairwise_nesting_test():
     tracemalloc.stop()
     assert report.component_count == count + 2
     assert peak < 2**29
-    # The box within comes last, after the first hundred components, which are described one by one.
+    # The inner box is last, after the first hundred components, which are described individually.
     vertices, faces = joined((box().vertices, box().faces), (outer.vertices, outer.faces), triangles)
     assert Mesh(vertices, faces).report.components[0].inside == 1
 

@@ -1,4 +1,4 @@
-"""Repairs: each step does what it says and no more, and says it."""
+"""Mesh repair: each step does only what it documents, and reports it."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from warpcontact.meshes.repair import repair_arrays
 
 
 class Broken:
-    """Arrays that no ``Mesh`` would take."""
+    """Arrays that ``Mesh`` would reject."""
 
     def __init__(self, vertices, faces):
         self.vertices, self.faces = np.asarray(vertices, dtype=float), np.asarray(faces)
@@ -46,7 +46,7 @@ def test_defective_real_mesh_is_usable_after_repair(shared_data, name):
     if name == "bunny.ply":
         assert found["duplicate"].count == 87
         assert found["unused"].count == 25
-        # The holes of the scan, and what hangs on edges of more than two faces, are no matter of repair.
+        # Repairs do not change the holes of the scan, nor edges of more than two faces.
         assert {"open", "non-manifold edges"} <= set(report.kinds)
     else:
         assert (report.closed, report.orientation, report.component_count) == (True, "outward", 2)
@@ -87,7 +87,7 @@ def test_merge_moves_no_vertex_farther_than_the_tolerance():
     (step,) = mesh.report.repairs
     assert step.count == len(v) - len(ball.vertices)
     assert 1e-8 < step.distance <= 1e-6
-    # A chain of points, each near the next one, does not collapse into one.
+    # A chain of points, each near the next one, is not merged into one.
     line = np.array([(0.6e-6 * i, 0, 0) for i in range(10)] + [(0, 1, 0), (1, 0, 0)])
     chain = repaired(Broken(line, [(0, 11, 10), (4, 11, 10), (9, 11, 10)]), "merge")
     assert len(chain.vertices) == 7
@@ -107,13 +107,13 @@ def test_merge_tolerance_larger_than_faces_is_refused():
 
 
 def test_face_without_area_is_removed_without_opening_the_surface():
-    # A corner on the edge between two faces of a box, with a sliver in the gap.
+    # A vertex on the edge between two faces of a box, with a sliver in the gap.
     v, f = box().vertices, box().faces
     a, b, c = f[0]
     middle = len(v)
     longest = max(((a, b, c), (b, c, a), (c, a, b)), key=lambda t: np.linalg.norm(v[t[0]] - v[t[1]]))
     a, b, c = longest
-    split = [(a, middle, c), (middle, b, c)]  # one side knows the corner, the other one does not
+    split = [(a, middle, c), (middle, b, c)]  # the vertex belongs to one side only
     sliver = (a, b, middle)
     broken = Broken([*v, 0.5 * (v[a] + v[b])], [*split, *f[1:], sliver])
     with pytest.raises(MeshError, match="degenerate"):
@@ -159,7 +159,7 @@ def test_random_winding_is_repaired(seed):
 
 
 def _turn(faces):
-    """Parity of the order of the corners of each face."""
+    """Parity of the vertex order of each face."""
     first = faces.argmin(axis=1)
     rows = np.arange(len(faces))
     return faces[rows, (first + 1) % 3] < faces[rows, (first + 2) % 3]
@@ -172,13 +172,13 @@ def test_repair_keeps_cavities_inward():
     assert onion.report.nested_components == (1, 2)
     assert "component 1 (12 faces from face 12, inward, a cavity) in component 0" in onion.report.to_text()
     assert steps(repaired(onion))["orient"] == 0
-    # All inside out: all are turned. One of them scrambled: it is taken for a cavity.
+    # If all components are inverted, all are flipped. A component with mixed orientation becomes a cavity.
     np.testing.assert_array_equal(_turn(repaired(onion.flipped()).faces), _turn(onion.faces))
     scrambled = onion.faces.copy()
     scrambled[12:15] = scrambled[12:15, ::-1]
     volumes = [part.volume for part in repaired(Broken(onion.vertices, scrambled)).report.components]
     assert np.sign(volumes).tolist() == [1, -1, 1]
-    # Solids one within the other stay what they are.
+    # Nested solids are unchanged.
     solids = Mesh(*joined(outer, box((2, 2, 2))))
     assert steps(repaired(solids))["orient"] == 0
     assert "outward, one solid within another" in solids.report.to_text()
@@ -215,7 +215,7 @@ def test_repair_keeps_groups_with_their_faces():
         {"upper": np.array([0, 1, 2]), "copy": np.array([1]), "sliver": np.array([3]), "lower": np.array([4])},
         REPAIRS,
     )
-    # The sliver is now a part of the lower face, and has its group.
+    # The sliver is now a part of the lower face and has its group.
     members = {name: vertices[faces[found]].mean(axis=(0, 1))[1] for name, found in groups.items() if len(found)}
     assert {name: len(found) for name, found in groups.items()} == {"upper": 2, "copy": 0, "sliver": 0, "lower": 2}
     assert members["upper"] > 0 > members["lower"]

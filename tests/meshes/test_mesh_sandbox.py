@@ -1,4 +1,4 @@
-"""Files that crash, hang or fill the memory end in one sentence, wherever a mesh is loaded from."""
+"""Files that crash, hang or exhaust memory give one error message, for every function that loads meshes."""
 
 import io
 import json
@@ -29,7 +29,7 @@ SECONDS = 20.0
 
 
 def nested(depth):
-    """A stage with dictionaries in one another: the parser of usda runs out of stack."""
+    """A stage with nested dictionaries: the parser of usda exhausts its stack."""
     return "#usda 1.0\n(\n customLayerData = {" + "dictionary a = {" * depth + "}" * depth + "}\n)\n"
 
 
@@ -43,7 +43,7 @@ def doubling(levels):
 
 
 def square(count):
-    """A stage with one mesh of ``count`` squares at one place, in a hundred bytes each."""
+    """A stage with one mesh of ``count`` squares at one position, with a hundred bytes each."""
     return f'#usda 1.0\ndef Mesh "m" {{ point3f[] points = [{", ".join(["(0,0,0)"] * count)}] }}'
 
 
@@ -53,7 +53,7 @@ def zip_bomb(path):
 
 
 def repeated(count, names=False):
-    """A ball of 320 faces, placed so many times."""
+    """A ball of 320 faces, placed ``count`` times."""
     data = trimesh.creation.icosphere(subdivisions=2).export(file_type="glb")
     size = struct.unpack_from("<I", data, 12)[0]
     tree = json.loads(data[20 : 20 + size])
@@ -139,7 +139,7 @@ def test_endless_usd_composition_is_stopped_by_processor_time(tmp_path):
 @POSIX
 def test_reader_that_waits_longer_than_its_processor_time_succeeds(tmp_path, monkeypatch):
     (tmp_path / "a.stl").write_bytes(STL)
-    # As on a busy machine: the reader exists for longer than the limit, but computes for less.
+    # As on a busy machine: the process exists for longer than the limit but uses less processor time.
     start = isolation._START.replace("main(request)", "import time; time.sleep(2.0); main(request)")
     monkeypatch.setattr(isolation, "_START", start)
     assert load_mesh(tmp_path / "a.stl", limits=Limits(seconds=2.0)).report.closed
@@ -242,7 +242,7 @@ def test_processor_time_limit_includes_examination_and_repair(tmp_path):
 
 @POSIX
 def test_reader_without_system_limit_stops_itself():
-    # As on macOS, where nothing keeps the limit on address space.
+    # As on macOS, which does not enforce the limit on address space.
     code = (
         "import sys, threading; from warpcontact.meshes.reader_process import watch;"
         "threading.Thread(target=watch, args=(2 * 10**8,), daemon=True).start();"
@@ -358,7 +358,7 @@ def test_mesh_loads_from_unguarded_script_deleted_folder_and_threads(tmp_path):
     (tmp_path / "a.stl").write_bytes(STL)
     folder = tmp_path / "gone"
     folder.mkdir()
-    # numpy.py beside the script, and in the current folder, must not be what the reader imports.
+    # The reader must not import modules next to the script or in the current folder.
     (tmp_path / "json.py").write_text("raise SystemExit('the wrong json')")
     script = tmp_path / "script.py"
     script.write_text(

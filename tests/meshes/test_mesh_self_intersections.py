@@ -1,4 +1,4 @@
-"""Intersections of faces, and the kinds of meshes that a report tells apart."""
+"""Self-intersections, and the defects that a report distinguishes."""
 
 from fractions import Fraction
 from itertools import combinations
@@ -18,14 +18,14 @@ def det(a, b, c):
 
 
 def sign(a, b, c, d):
-    """On which side of abc d lies, without rounding."""
+    """Side of abc on which d lies, in exact arithmetic."""
     rows = [[Fraction(float(x)) - Fraction(float(y)) for x, y in zip(p, a, strict=True)] for p in (b, c, d)]
     value = det(*rows)
     return (value > 0) - (value < 0)
 
 
 def cut_exactly(p, q):
-    """Whether an edge of one triangle passes through the inside of the other one."""
+    """Whether an edge of one triangle passes through the interior of the other one."""
     for s, t in ((p, q), (q, p)):
         for i in range(3):
             tail, head = s[i], s[(i + 1) % 3]
@@ -64,7 +64,7 @@ def test_valid_surfaces_have_no_self_intersections(mesh):
         ((0.5, 0, 0), True),  # edges on faces everywhere: they overlap in planes
         ((1, 0.3, 0.2), True),
         ((1, 1, 0), False),  # they share an edge
-        ((1, 1, 1), False),  # a corner
+        ((1, 1, 1), False),  # a vertex
         ((1 + 1e-9, 1, 0.5), False),
         ((2, 0, 0), False),
         ((0, 0, 0.9999), True),
@@ -137,7 +137,7 @@ def test_mesh_kinds_are_classified(vertices, faces, kinds):
 
 
 def test_components_touching_at_a_vertex_are_reported():
-    # Two tetrahedra share a corner; two strips of a sheet do.
+    # Two tetrahedra share a vertex; two strips of a sheet do.
     v, f = joined(Mesh(TETRAHEDRON, OUTWARD), Mesh(-TETRAHEDRON, OUTWARD[:, ::-1]))
     assert examine(v, f).non_manifold_vertex_count == 1
     assert examine(v + np.repeat([0, 1.0], 4)[:, None], f).non_manifold_vertex_count == 0

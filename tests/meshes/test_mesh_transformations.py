@@ -1,4 +1,4 @@
-"""Meshes made of others: what their reports keep, and what they say anew."""
+"""Meshes derived from others: entries of their reports that are kept or recomputed."""
 
 from dataclasses import replace
 
@@ -53,7 +53,7 @@ def test_changed_mesh_keeps_file_warnings_and_repairs(loaded, change):
     assert new.warnings[0].startswith("26 faces of the file")
     assert new.notes == old.notes
     assert new.groups == old.groups
-    # What is not of the file is what an examination finds.
+    # Entries that do not describe the file equal those of a new examination.
     fresh = examine(changed.vertices, changed.faces, "a", overlaps=True)
     of_file = {"repairs": old.repairs, "groups": old.groups, "notes": old.notes}
     assert new == replace(fresh, **of_file, warnings=(old.warnings[0], *fresh.warnings))

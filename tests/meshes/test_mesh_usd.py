@@ -1,4 +1,4 @@
-"""Meshes from USD stages: which prims, where, how large, which way round."""
+"""Meshes from USD stages: selection of prims, transforms, units, and orientation."""
 
 import numpy as np
 import pytest

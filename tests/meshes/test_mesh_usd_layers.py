@@ -1,4 +1,4 @@
-"""Stages of several files: layers beside the file are read, and none elsewhere unless it is trusted."""
+"""Stages of several files: layers next to the file are read, layers elsewhere only if trusted."""
 
 import os
 import re
@@ -20,7 +20,7 @@ def tetrahedron(tmp_path):
 
 
 def layered(path, kind, asset):
-    """A stage with a mesh of its own that composes ``asset`` by an arc of ``kind``."""
+    """A stage with a mesh that composes ``asset`` by an arc of ``kind``."""
     stage = new_stage()
     add_mesh(stage, "/own", TETRAHEDRON + 2)
     if kind == "sublayer":
@@ -88,7 +88,7 @@ def test_invalid_usd_layer_is_refused(tmp_path, asset, message):
 
 def test_usd_layers_are_not_searched_in_the_current_folder(tetrahedron, tmp_path, monkeypatch):
     (tmp_path / "inner").mkdir()
-    monkeypatch.chdir(tmp_path)  # where USD looks for names that lie beside nothing
+    monkeypatch.chdir(tmp_path)  # the folder in which USD searches names that are not next to the file
     monkeypatch.setenv("PXR_AR_DEFAULT_SEARCH_PATH", str(tmp_path))
     with pytest.raises(MeshError, match=r"the stage refers to 'part.usda', outside of its folder"):
         load_mesh(layered(tmp_path / "inner" / "a.usda", "sublayer", "part.usda"))
@@ -170,7 +170,7 @@ def test_value_clips_are_refused_on_any_prim(tmp_path, where, layer):
 
 
 def test_value_clips_in_a_variant_can_read_outside_files_only_if_trusted(tmp_path):
-    # What the refusal is for: without it, points of a file elsewhere would be the vertices of this mesh.
+    # Reason for the rejection: without it, points of a file elsewhere would become vertices of this mesh.
     (tmp_path / "inner").mkdir()
     secret, stage = new_stage(), new_stage()
     points = Vt.Vec3fArray([Gf.Vec3f(*map(float, 7.0 * v)) for v in TETRAHEDRON])

@@ -1,4 +1,4 @@
-"""Meshes: what is refused and how, what a report says, what generators make."""
+"""Meshes: rejected input, reports, and generators."""
 
 import copy
 import pickle
@@ -38,7 +38,7 @@ def moved(mesh, offset):
 
 
 def soup(mesh):
-    """The arrays of an STL file: three vertices of its own for every face."""
+    """The arrays of an STL file: separate vertices for every face."""
     return mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3)
 
 
@@ -51,7 +51,7 @@ def outward_solid_angle(mesh):
     return 2.0 * np.arctan2(above, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb).sum()
 
 
-# Refusals ---------------------------------------------------------------------------------------------------
+# Rejected input
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_mesh_without_a_name_is_refused(name):
         Mesh(TETRAHEDRON, OUTWARD, name=name)
 
 
-# The mesh ---------------------------------------------------------------------------------------------------
+# The mesh
 
 
 def test_mesh_has_its_own_read_only_arrays():
@@ -192,7 +192,7 @@ def test_mesh_from_trimesh_keeps_vertices_and_faces():
 
 
 def test_import_of_meshes_loads_no_slow_package():
-    # With an empty parent package: what the rest of warpcontact imports is its own matter.
+    # With an empty parent package, to test the imports of this module only.
     code = (
         "import sys, types; parent = types.ModuleType('warpcontact'); parent.__path__ = [sys.argv[1]];"
         "sys.modules['warpcontact'] = parent; import warpcontact.meshes;"
@@ -203,7 +203,7 @@ def test_import_of_meshes_loads_no_slow_package():
     assert set(meshes.__all__) <= set(dir(meshes))
 
 
-# Reports ----------------------------------------------------------------------------------------------------
+# Reports
 
 
 def test_report_of_a_box_is_correct():
@@ -347,7 +347,7 @@ def test_mesh_report_text_has_aligned_lines():
     assert lines[lines.index("warnings") + 1] == "  - the surface is open: 3 boundary edges in 1 loop"
 
 
-# Generators -------------------------------------------------------------------------------------------------
+# Generators
 
 
 def test_grid_is_flat_centered_and_faces_up():

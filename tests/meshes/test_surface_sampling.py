@@ -1,4 +1,4 @@
-"""Points that stand for a surface: evenly spread, on the surface, and with areas that add up to it."""
+"""Sample points of a surface: evenly spread, on the surface, with areas that sum to its area."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ METHODS = [("blue_noise", 400), ("vertices", None), ("centroids", None)]
 
 
 def hexagonal(area, count):
-    """Distance between neighbours of the densest packing of ``count`` points on ``area``."""
+    """Distance between neighbors of the densest packing of ``count`` points on ``area``."""
     return np.sqrt(2.0 * area / (np.sqrt(3.0) * count))
 
 
@@ -20,7 +20,7 @@ def distances(points):
 
 
 def uneven():
-    """A square of which one half is two triangles and the other one 20 000."""
+    """A square of which one half has two triangles and the other 20 000."""
     fine = wc.meshes.grid((1, 1), (100, 100))
     coarse = wc.meshes.grid((1, 1))
     vertices = np.concatenate([fine.vertices, coarse.vertices + np.array([1, 0, 0])])
@@ -35,7 +35,7 @@ def test_sample_areas_sum_to_the_surface_area_and_normals_are_unit(mesh, method,
     assert samples.areas.sum() == pytest.approx(mesh.report.area, rel=1e-12)
     np.testing.assert_allclose(np.linalg.norm(samples.normals, axis=1), 1.0, rtol=1e-12)
     assert len(samples) == len(samples.areas) == len(samples.faces) == len(samples.normals)
-    # Each lies on its face: the barycentric coordinates are positive and lead back to it.
+    # Each lies on its face: the barycentric coordinates are positive and reproduce it.
     a, b, c = mesh.vertices[mesh.faces[samples.faces]].swapaxes(0, 1)
     normal = np.cross(b - a, c - a)
     parts = [
@@ -56,9 +56,9 @@ def test_blue_noise_samples_are_as_even_as_sample_elimination(mesh, count, seed)
     samples = sample_surface(mesh, count, seed=seed)
     assert len(samples) == count
     unit = hexagonal(mesh.report.area, count)
-    # Yuksel's paper has 0.7 to 0.8 of the hexagonal distance in the plane; random points come within 0.01.
+    # Yuksel's paper has 0.7 to 0.8 of the hexagonal distance in the plane; random points have 0.01.
     assert distances(samples.positions).min() > 0.65 * unit
-    # A hole of radius r has room for another point where r exceeds the distance that is kept.
+    # A hole of radius r has space for another point if r exceeds the minimum distance.
     dense = sample_surface(mesh, 200 * count // 10, seed=seed + 1).positions
     assert cKDTree(samples.positions).query(dense)[0].max() < 1.15 * unit
 
@@ -90,10 +90,10 @@ def test_blue_noise_areas_match_nearest_point_areas():
     probes = np.random.default_rng(3).random((400_000, 2)) - 0.5
     owner = cKDTree(samples.positions[:, :2]).query(probes)[1]
     expected = np.bincount(owner, minlength=200) / len(probes)
-    # 2000 random probes for each leave 2 %, the 128 even ones that measure an area about 2 %.
+    # 2000 random probes per point leave 2 %, and the 128 even ones that measure an area about 2 %.
     np.testing.assert_allclose(samples.areas, expected, rtol=0.12)
     assert np.sqrt(np.mean((samples.areas / expected - 1.0) ** 2)) < 0.04
-    # Equal shares would miss by more: cells differ.
+    # Equal areas would have larger errors, because cells differ.
     assert np.std(expected) * 200 > 0.1
 
 
@@ -109,7 +109,7 @@ def test_vertex_sample_normals_of_a_box_are_diagonal_for_any_triangulation():
     box = wc.meshes.box((2, 2, 2))
     samples = sample_surface(box, method="vertices")
     np.testing.assert_allclose(samples.normals, np.sign(samples.positions) / np.sqrt(3.0), rtol=1e-12)
-    # Every side is two triangles of 2 m²; each gives a third to each of its corners.
+    # Every side has two triangles of 2 m²; each gives a third to each of its vertices.
     touching = [(box.faces == i).sum() for i in range(8)]
     np.testing.assert_allclose(samples.areas, 2.0 / 3.0 * np.array(touching), rtol=1e-12)
 

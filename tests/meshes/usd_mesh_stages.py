@@ -1,4 +1,4 @@
-"""USD stages with meshes, for the tests of importing them."""
+"""USD stages with meshes, for tests of mesh import."""
 
 from pxr import Gf, Usd, UsdGeom, Vt
 from test_meshes import OUTWARD, TETRAHEDRON
