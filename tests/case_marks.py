@@ -4,7 +4,7 @@ import pytest
 
 
 def slow_except(cases, kept):
-    """Returns the cases of a parametrization; all but those of which ``kept(case)`` is true are marked slow."""
+    """Returns the cases of a parametrization; those for which ``kept(case)`` is false are marked slow."""
     return [
         case
         if kept(case)

@@ -1,4 +1,4 @@
-"""Fixtures that tests share: devices, their memory, folders of runs, and the shared data if it is there."""
+"""Shared fixtures: devices, memory, run folders, and the shared reference data if available."""
 
 import gc
 import os
@@ -26,17 +26,17 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    # What a shell starts in the background ignores Ctrl-C, and so would what tests start and interrupt.
+    # Background processes of a shell ignore Ctrl-C, and so would the processes that tests start and interrupt.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    # Test modules and the processes that tests start read it when they import the package.
+    # Test modules and subprocesses read it when they import the package.
     os.environ["WARPCONTACT_COMPILE"] = config.getoption("--kernels")
     from warpcontact.kernels.lowlevel import unique_kernel
 
     assert config.getoption("--kernels") == unique_kernel.MODE, (
         "the package was imported before its options were set"
     )
-    # Kernels of tests too: LLVM compiles concurrently only with equal options.
+    # Also for kernels of tests: LLVM compiles concurrently only with equal options.
     wp.config.cpu_compiler_flags = unique_kernel.OPTIONS["cpu_compiler_flags"]
     if config.getoption("--bounds-check"):
         wp.config.mode = "debug"
@@ -50,14 +50,14 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    # Modules and test items stay until the end: later collections of garbage skip them.
+    # Modules and test items exist until the end; garbage collection skips them.
     gc.collect()
     gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def state_folder(tmp_path_factory):
-    """The state folder of the user, here and in processes that tests start: what tests trust stays there."""
+    """State folder of the user, here and in subprocesses, so that tests do not change the real one."""
     with pytest.MonkeyPatch.context() as patched:
         folder = tmp_path_factory.mktemp("state")
         patched.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", str(folder))
@@ -66,19 +66,19 @@ def state_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def device(request):
-    """The device that simulations under test run on."""
+    """The device of the simulations under test."""
     return request.config.getoption("--device")
 
 
 @pytest.fixture(scope="session")
 def times(request):
-    """By how many times the random cases of slow tests are multiplied."""
+    """Factor for the number of random cases of slow tests."""
     return 5 if request.config.getoption("--thorough") else 1
 
 
 @pytest.fixture(scope="session")
 def shared():
-    """Folder of reference texts, oracles and measured data beside a checkout; a user's clone has none."""
+    """Folder of reference texts, oracles and measured data next to a checkout; not in a clone of a user."""
     beside = Path(__file__).resolve().parents[2] / "shared"
     folder = Path(os.environ.get("WARPCONTACT_SHARED", beside))
     if not folder.is_dir():
@@ -93,7 +93,7 @@ def shared_data(shared):
 
 
 class CountingAllocator:
-    """An allocator that counts the bytes that are in use."""
+    """An allocator that counts the allocated bytes."""
 
     def __init__(self, allocator):
         self.allocator = allocator
@@ -110,7 +110,7 @@ class CountingAllocator:
 
 @pytest.fixture
 def counting_allocator(device, monkeypatch):
-    """Counts what Warp arrays on the device take from now on."""
+    """Counts the bytes of Warp arrays that are allocated on the device from now on."""
     where = wp.get_device(device)
     gc.collect()
     if where.is_cpu:
@@ -127,7 +127,7 @@ def counting_allocator(device, monkeypatch):
 
 @pytest.fixture(params=["two", "three", "all GPUs"])
 def devices(request, device):
-    """What a model is split over."""
+    """Devices over which a model is split."""
     if request.param != "all GPUs":
         return [device] * {"two": 2, "three": 3}[request.param]
     if not device.startswith("cuda") or wp.get_cuda_device_count() < 2:
@@ -148,7 +148,7 @@ def whole_run(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def part_run(tmp_path_factory):
-    """The same, killed when one shard was finished and another on its way."""
+    """The same run, killed when one shard was finished and another in progress."""
     import sharded_runs
 
     folder = tmp_path_factory.mktemp("part")
@@ -168,7 +168,7 @@ def part_run(tmp_path_factory):
 
 @pytest.fixture
 def copied_run(tmp_path):
-    """Copies the folder of a run, to be damaged."""
+    """Copies the folder of a run, so that it can be damaged."""
 
     def copy(folder):
         return shutil.copytree(folder, tmp_path / "copy")
@@ -178,14 +178,14 @@ def copied_run(tmp_path):
 
 @pytest.fixture(autouse=True)
 def fused_kernels(request, monkeypatch):
-    """Lets tests of launch shapes fuse stages if kernels are compiled for short compile times as well."""
+    """Fuses stages in tests of launch shapes, also if kernels are compiled for short compile times."""
     if request.node.get_closest_marker("launch_shapes"):
         monkeypatch.setattr("warpcontact.forces.execution_plan.FUSE_STAGES", True)
 
 
 @pytest.fixture
 def write_step_outputs(monkeypatch):
-    """Has steps tell of contacts what they computed, over the step, as if somebody watched."""
+    """Makes steps write contact sensors averaged over the step, as for a monitor."""
     monkeypatch.setattr(
         "warpcontact.forces.execution_plan.ExecutionPlan.write_outputs", property(lambda _: True, lambda *_: None)
     )

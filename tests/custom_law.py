@@ -1,4 +1,4 @@
-"""A law and a friction as a user would write them, in a file outside the package."""
+"""Custom laws and friction models as in a user's file outside of the package."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ class Cubic(wc.Law):
 
 
 class Careless(wc.Law):
-    """Multiplies with a float32 constant: compiles in float32 only."""
+    """Multiplies by a float32 constant: compiles in float32 only."""
 
     stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
 
@@ -28,7 +28,7 @@ class Careless(wc.Law):
 
 
 class Broken(wc.Law):
-    """Not a number beyond a depth."""
+    """NaN above a penetration."""
 
     stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
     depth: float = wc.parameter("m", "depth of the failure", above=0.0)
@@ -39,7 +39,7 @@ class Broken(wc.Law):
 
 
 class Adhesive(wc.Law):
-    """A spring that pulls below a depth."""
+    """A spring with adhesion below a penetration."""
 
     pulls = True
 
@@ -62,7 +62,7 @@ class Viscous(wc.Friction):
 
 
 class Plastic(wc.Law):
-    """Loads along k₁ δ, unloads and reloads along k₂ (δ − δ₀) from the deepest point: keeps a dent δ₀."""
+    """Loads along k₁ δ, unloads and reloads along k₂ (δ − δ₀) from the maximum: permanent deformation δ₀."""
 
     loading: float = wc.parameter("N/m", "stiffness k₁ of loading", above=0.0)
     unloading: float = wc.parameter("N/m", "stiffness k₂ ≥ k₁ of unloading", above=0.0)
@@ -80,7 +80,7 @@ class Plastic(wc.Law):
 
 
 class TwoBristles(wc.Friction):
-    """Two stick springs side by side, with a clock; slides like Coulomb when both do."""
+    """Two parallel stick springs, with a clock; slides as in Coulomb friction when both slide."""
 
     mu: float = wc.parameter("-", "coefficient of friction μ of each", at_least=0.0)
     stiffness: float = wc.parameter("N/m", "stiffness k of the first, half that of the second", above=0.0)
@@ -110,7 +110,7 @@ def clamp_length(v: Any, length: Any):
 
 
 class Clock(wc.Law):
-    """A spring that knows its age."""
+    """A spring that stores the time since first contact."""
 
     stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
 
@@ -127,7 +127,7 @@ class Clock(wc.Law):
 
 
 class Tiring(wc.Law):
-    """A dashpot that weakens with its age."""
+    """A dashpot that decays with the time since first contact."""
 
     damping: float = wc.parameter("N·s/m", "damping c", at_least=0.0)
     time: float = wc.parameter("s", "time in which it has weakened to c/e", above=0.0)
@@ -143,7 +143,8 @@ class Tiring(wc.Law):
 
     @wp.func
     def force(p: Any, c: Any, m: Any):
-        # Acts on new depth only: with the memory of the real depth there would be no force at touch.
+        # Acts on increasing penetration only. If the history contained the current penetration, the first force
+        # would be zero.
         if c.delta < m.depth:
             return type(c.delta)(0.0)
         return p.damping * c.delta_dot * wp.exp(-m.age / p.time)

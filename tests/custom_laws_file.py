@@ -1,4 +1,4 @@
-"""A file of laws and friction models as an experiment file names them, right and wrong; tests copy it."""
+"""A file of valid and invalid custom laws and friction models, as used by an experiment file; tests copy it."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ class Cubic(wc.Law):
 
 
 class Pad(wc.Law):
-    """N = k δ (1 + χ δ̇), k as it is or from a depth under 1 N."""
+    """N = k δ (1 + χ δ̇), with k given or computed from the penetration at 1 N."""
 
     device = ("stiffness", "chi")
     exactly_one_of = ("stiffness", "depth")
@@ -49,7 +49,7 @@ class Lubricated(wc.Friction):
 
 
 class Fading(wc.Law):
-    """Its host code fails on large values."""
+    """Host code that fails for large values."""
 
     device = ("stiffness",)
 
@@ -87,7 +87,7 @@ class Misspelt(wc.Law):
 
 
 class Unnamed(wc.Law):
-    """Its coefficients lack one."""
+    """Lacks a name among its coefficients."""
 
     device = ("stiffness", "chi")
 
@@ -99,7 +99,7 @@ class Unnamed(wc.Law):
 
 
 class Picky(wc.Law):
-    """Checks its parameters in its own way."""
+    """Checks its parameters in custom code."""
 
     stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
 
@@ -114,7 +114,7 @@ class Picky(wc.Law):
 
 
 class Reserved(wc.Law):
-    """A parameter by a name that a table has already."""
+    """A parameter whose name is a key of the table already."""
 
     type: float = wc.parameter("-", "kind", default=1.0)
 
@@ -134,7 +134,7 @@ def helper():
 
 
 class StickSpring(wc.Friction):
-    """F = −k ξ, never more than μ N."""
+    """F = −k ξ, at most μ N."""
 
     mu: float = wc.parameter("-", "coefficient of friction μ", at_least=0.0)
     stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)

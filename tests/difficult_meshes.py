@@ -1,10 +1,10 @@
-"""Meshes that are hard on a closest-point search, and the points about them where it is easily wrong."""
+"""Meshes that are difficult for closest-point searches, and points near them where errors are likely."""
 
 import numpy as np
 
 import warpcontact as wc
 
-# Exact in float32 too, so that a mesh moved there and back has lost its digits below 1e-13 and nothing else.
+# Exact in float32 as well: a mesh moved there and back loses only its digits below 1e-13.
 FAR_AWAY = np.array([1024.0, -512.0, 768.0])
 
 
@@ -13,7 +13,7 @@ def tetrahedron():
 
 
 def extruded(outline, triangles, height):
-    """A prism over a polygon (n, 2), which ``triangles`` fill."""
+    """A prism over a polygon (n, 2), whose area is covered by ``triangles``."""
     n = len(outline)
     vertices = [(*corner, z) for z in (0.0, height) for corner in outline]
     faces = [triangle[::-1] for triangle in triangles] + [tuple(k + n for k in triangle) for triangle in triangles]
@@ -24,13 +24,13 @@ def extruded(outline, triangles, height):
 
 
 def angle_bracket():
-    """Not convex: an edge that points inwards."""
+    """Nonconvex, with a concave edge."""
     outline = [(0, 0), (1, 0), (1, 0.4), (0.3, 0.4), (0.3, 1), (0, 1)]
     return extruded(outline, [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)], 0.5)
 
 
 def slotted_block(gap=1e-2):
-    """A block with a slit: two faces that look at each other from close by."""
+    """A block with a slit: two faces at a small distance opposite each other."""
     h = gap / 2
     outline = [(-0.5, 0), (0.5, 0), (0.5, 1), (h, 1), (h, 0.3), (-h, 0.3), (-h, 1), (-0.5, 1)]
     return extruded(outline, [(0, 5, 7), (5, 6, 7), (0, 4, 5), (0, 1, 4), (1, 2, 4), (2, 3, 4)], 0.7)
@@ -75,7 +75,7 @@ def rough_sheet():
     return wc.Mesh(flat.vertices + height[:, None] * [0, 0, 1], flat.faces)
 
 
-#: Closed, without inner walls or cuts.
+# Closed, without inner walls or intersections.
 CLOSED = {
     "tetrahedron": tetrahedron,
     "cube": wc.meshes.box,
@@ -90,12 +90,12 @@ CLOSED = {
     "bracket, beside its origin": lambda: moved(angle_bracket(), np.array([3.0, -1.3, 2.7])),
     "bracket, modelled 1 km away": lambda: moved(angle_bracket(), FAR_AWAY),
 }
-#: With boundaries; they are height fields over a rectangle.
+# With boundaries; height fields over a rectangle.
 OPEN = {
     "terrain": lambda: wc.meshes.sinusoidal_terrain((5.0, 5.0), (24, 24)),
     "rough sheet": rough_sheet,
 }
-#: Files of the reference data; all of them closed.
+# Files of the reference data; all are closed.
 FILES = ("fandisk.obj", "Duck.glb", "20mm-xyz-cube.stl")
 CUTS_ITSELF = ("Duck.glb",)
 
@@ -104,9 +104,9 @@ def difficult_points(surface, count, seed=1):
     """Returns about ``count`` points (n, 3) by kind.
 
     Args:
-        surface: The mesh as a ``brute_force.Surface``, in whatever place the points are wanted.
-        count: About how many points, of all kinds together.
-        seed: Of the random numbers.
+        surface: The mesh as a ``brute_force.Surface``, in the pose in which the points are needed.
+        count: Approximate number of points of all kinds together.
+        seed: Seed of the random numbers.
     """
     rng = np.random.default_rng(seed)
     n = count // 10
@@ -123,7 +123,7 @@ def difficult_points(surface, count, seed=1):
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
     normal = cross / area[:, None]
-    # Half by number, so that small faces are seen, and half by area.
+    # Half by number, so that small faces are included, and half by area.
     by_area = rng.choice(len(corners), n, p=area / area.sum())
     face = np.where(rng.random(n) < 0.5, rng.integers(len(corners), size=n), by_area)
     on_face = np.einsum("nk,nkd->nd", rng.dirichlet(np.ones(3), n), corners[face])
@@ -133,13 +133,13 @@ def difficult_points(surface, count, seed=1):
     vertex = corners[face, edge]
     out = rng.choice([-1.0, 1.0], (n, 1))
 
-    # Over an edge of a face and a little to its side: face and edge are as near to first order.
+    # Above an edge of a face and slightly to its side: face and edge are equally near to first order.
     sideways = np.cross(end - start, normal[face])
     sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
     height = size * 10.0 ** rng.uniform(-5, 0, (n, 1))
     aside = height * 10.0 ** rng.uniform(-6, -1, (n, 1)) * rng.choice([-1.0, 1.0], (n, 1))
 
-    # Half way to what lies opposite, inside or outside.
+    # Halfway to the opposite part of the surface, inside or outside.
     through = -out[: n // 2] * normal[face[: n // 2]]
     opposite = surface.first_hit(on_face[: n // 2], through)
     opposite = np.where(np.isfinite(opposite), opposite, size)

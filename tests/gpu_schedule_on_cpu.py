@@ -1,4 +1,4 @@
-"""Has a CPU go the ways of a GPU, with one thread."""
+"""Makes a CPU use the schedules of a GPU, with one thread."""
 
 from types import SimpleNamespace
 
@@ -15,7 +15,8 @@ from warpcontact.stepping import simulation
 def build_all_face_grids(monkeypatch, finest=0.6):
     """Builds face grids for models on the CPU, which otherwise has none.
 
-    ``finest``: Smallest cell size, in edges: one thread fills the grid, so coarser than that of a GPU.
+    ``finest``: Smallest cell size, relative to the edge length; coarser than on a GPU, because one thread fills
+    the grid.
     """
     a_gpu = SimpleNamespace(is_cuda=True)
     monkeypatch.setattr(face_grid, "FINEST", finest)
@@ -23,7 +24,7 @@ def build_all_face_grids(monkeypatch, finest=0.6):
 
 
 def use_work_queues(monkeypatch):
-    """Has contacts looked at as on a GPU."""
+    """Makes contact detection use the work queues of a GPU."""
 
     def queued(model, count, cached, ordered, _queued, nonsmooth, **own):
         tasks, contacts = model.envs * model.clusters.count, model.envs * model.contact_count
@@ -33,7 +34,7 @@ def use_work_queues(monkeypatch):
         return ExecutionPlan(model, count, cached, ordered, uses_queues=True, nonsmooth=nonsmooth, **own)
 
     monkeypatch.setattr(simulation, "ExecutionPlan", queued)
-    # A GPU looks at frames with nothing remembered: its lists are shorter than those of a CPU.
+    # A GPU evaluates frames without cached distances, because its face caches are smaller than those of a CPU.
     monkeypatch.setattr(
         "warpcontact.model.model.ExecutionPlan",
         lambda model, count, _cached, **options: ExecutionPlan(model, count, uses_cache=False, **options),
@@ -42,7 +43,7 @@ def use_work_queues(monkeypatch):
 
 
 def sum_by_body(pile):
-    """Has touches be added up by body, not as they are found."""
+    """Sums contact forces of particles per body, instead of adding each one immediately."""
     assert pile._alone
     pile._alone = False
     pile._kernel = force.kernel(pile._parts, pile._traits, pile.real, moves=False, single_thread=False)

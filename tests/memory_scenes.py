@@ -1,4 +1,4 @@
-"""Scenes that take memory in every way, and how much of it there is said to be."""
+"""Scenes that cover all kinds of memory, and their memory estimates."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def ball_scene():
 
 
 def busy_scene():
-    """Several bodies, sets, groups, meshes, latches and formulas that remember."""
+    """Several bodies, sets, groups, meshes, latches, and models with history."""
     scene = ball_scene()
     ball = scene.bodies[0]
     box = scene.add_body(1.0, (1e-2,) * 3, position=(0, 0, 2), name="box")
@@ -38,7 +38,7 @@ def busy_scene():
 
 
 def set_scene():
-    """A set of bodies, with one contact each, and others beside it."""
+    """A body set with one contact per body, and other bodies."""
     scene = ball_scene()
     at = np.random.default_rng(1).uniform(-1, 1, (40, 3)) + 3.0
     grains = scene.add_bodies(
@@ -55,7 +55,7 @@ def free_scene():
 
 
 def coupled_scene():
-    """Couplings of every kind, and bodies that joints hold and functions of time move."""
+    """Couplings of every kind, and bodies with joints and with prescribed motion."""
     scene = ball_scene()
     ball = scene.bodies[0]
     swing = wc.motions.Table(times=(0.0, 1.0, 2.0), displacements=((0, 0, 0), (0, 0, 1), (0, 0, 0)))
@@ -77,7 +77,7 @@ def coupled_scene():
 
 
 def pile_scene():
-    """A pile with lists that are made, of spheres and capsules, and one with lists of all pairs."""
+    """Particle contact of spheres and capsules with neighbor lists, and one with lists of all pairs."""
     scene = ball_scene()
     places = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), -1).reshape(-1, 3)
     grains = scene.add_bodies(places, 1.0, (1, 1, 1), name="grains")
@@ -94,7 +94,7 @@ def pile_scene():
 
 
 def smooth_scene():
-    """Shape contacts of two groups: with memory and curvatures, of a set of bodies, and on the world."""
+    """Shape contacts of two groups: with history and curvatures, of a body set, and with the world."""
     scene = ball_scene()
     grains = scene.add_bodies(np.eye(3) + 3.0, 1.0, (1, 1, 1), name="grains")
     egg = scene.add_shape(scene.bodies[0], wc.shapes.Ellipsoid((0.3, 0.2, 0.1)), name="egg")
@@ -123,19 +123,19 @@ SCENES = {
 
 
 def array_bytes(memory, model):
-    """Returns the part of a footprint that Warp arrays take [bytes]."""
+    """Returns the part of a memory estimate that Warp arrays need [bytes]."""
     fields = {
         id(parameter.field): parameter.field.values.nbytes
         for part in model.parts
         for parameter in part.parameters.values()
     }
-    # Of the meshes to search, boxes and tree are no arrays.
+    # Bounding boxes and trees of the query meshes are not arrays.
     faces = [(len(mesh.indices) // 3, part.device) for part in model.parts for mesh in part._meshes]
     trees = sum(_mesh_bytes(count, where) - 48 * count for count, where in faces)
     return memory.device_bytes + memory.host_bytes - memory.bytes_for("launches") - sum(fields.values()) - trees
 
 
 def set_available_memory(monkeypatch, size):
-    """Lets a machine have ``size`` bytes available, in every place."""
+    """Sets the available memory of the machine to ``size`` bytes, in all modules."""
     monkeypatch.setattr(resources, "_host", lambda: size)
     monkeypatch.setattr(resources, "_device", lambda name: size)

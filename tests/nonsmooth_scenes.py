@@ -1,4 +1,4 @@
-"""Scenes of nonsmooth contact that several tests use."""
+"""Scenes of nonsmooth contact that are shared by several tests."""
 
 import numpy as np
 from scenes import square
@@ -10,13 +10,13 @@ HARD = wc.integrators.MoreauJean()
 
 
 def rigid(restitution=0.0, mu=None, **parts):
-    """A material of nonsmooth contact; without ``mu`` nothing opposes sliding."""
+    """A material of nonsmooth contact; frictionless without ``mu``."""
     friction = None if mu is None else wc.friction.Coulomb(mu=mu)
     return wc.ContactMaterial(law=wc.laws.Rigid(restitution=restitution), friction=friction, **parts)
 
 
 def add_box(scene, edges, surface, material, *, name="box", density=1000.0, feet=None, **options):
-    """Adds a box with a contact, ``<name>_feet``, of its corners with ``surface``; ``feet`` are places instead."""
+    """Adds a box and the contact ``<name>_feet`` of its vertices, or of points ``feet``, with ``surface``."""
     edges = np.asarray(edges, dtype=float)
     mass = options.pop("mass", density * edges.prod())
     inertia = mass / 12.0 * (np.square(edges).sum() - np.square(edges))
@@ -29,7 +29,7 @@ def add_box(scene, edges, surface, material, *, name="box", density=1000.0, feet
 
 
 def block(mu, *, slope=0.0, velocity=(0.0, 0.0, 0.0), height=0.0, envs=1, external_force=(0, 0, 0), **options):
-    """A block of 10 kg, 1 m wide and 2 m high, on a plane at z = 0 under gravity that leans by ``slope`` [rad]."""
+    """A block of 10 kg, 1 m wide and 2 m high, on a plane at z = 0 with gravity tilted by ``slope`` [rad]."""
     scene = wc.Scene(gravity=(G * np.sin(slope), 0.0, -G * np.cos(slope)))
     ground = scene.add_surface(square(50.0), name="ground")
     feet = [(x, y, -1.0) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
@@ -63,7 +63,7 @@ def ball(
 ):
     """A solid ball of 1 kg whose lowest point starts ``height`` above a plane at z = 0.
 
-    Forces act at its lowest point, however deep that is: arms are those of the closed forms.
+    Forces act at its lowest point for any penetration, so lever arms are those of the closed forms.
     """
     scene = wc.Scene(gravity=(0.0, 0.0, -gravity))
     ground = scene.add_surface(square(50.0), name="ground")

@@ -1,4 +1,4 @@
-"""A scene with one of everything, its recording, and what to read a stage with."""
+"""A scene with many kinds of elements, its recording, and functions to read a stage."""
 
 import numpy as np
 import scenes
@@ -15,7 +15,7 @@ SENSORS = ("gap", "normal_force", "friction_force", "normal", "point", "status",
 
 
 def simulate(device, precision="float32"):
-    """A ball and a spinning cube, with a mesh and a set of points, that fall on a partly active floor."""
+    """A ball and a spinning cube, with a mesh and a point set, that fall onto a partly active floor."""
     scene = wc.Scene(gravity=(0.0, 0.0, -9.81))
     floor = scene.add_surface(
         scenes.square(5.0), name="floor", active_faces=[0], color=(0.8, 0.6, 0.4), position=(0.1, 0.2, -0.02)
@@ -61,13 +61,13 @@ def value(stage, path, name, code=None):
 
 
 def world(stage, path, code):
-    """Rotation (3, 3) and translation of a prim, acting on column vectors."""
+    """Rotation (3, 3) and translation of a prim, for column vectors."""
     matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(stage.GetPrimAtPath(path)))
     return matrix[:3, :3].T, matrix[3, :3]
 
 
 def arrows(stage, path, code):
-    """Starts and vectors (n, 3) of the arrows at ``path``, NaN where none is seen."""
+    """Starts and vectors (n, 3) of the arrows at ``path``, NaN if invisible."""
     instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath(path))
     ids = np.array(instancer.GetIdsAttr().Get(code))
     every = UsdGeom.PointInstancer.IgnoreMask

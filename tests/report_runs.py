@@ -1,4 +1,4 @@
-"""Runs that reports are made of, and what is in the file of a report."""
+"""Runs for reports, and the parsed file of a report."""
 
 import copy
 import hashlib
@@ -12,7 +12,7 @@ import warpcontact as wc
 
 CORNERS = [[x, y, z] for z in (-0.09, 0.09) for y in (-0.14, 0.14) for x in (-0.19, 0.19)]
 
-# A crate falls on its corners; in environment 4 it is faster than allowed as soon as it falls.
+# A crate falls onto its vertices; in environment 4 it exceeds the speed limit immediately.
 CRATE = {
     "name": "crate",
     "envs": 6,
@@ -66,7 +66,7 @@ CRATE = {
 
 
 def changed(**changes):
-    """Returns that experiment with other entries; ``None`` leaves one out."""
+    """Returns the experiment with changed entries; ``None`` removes one."""
     study = copy.deepcopy(CRATE) | copy.deepcopy(changes)
     return {key: value for key, value in study.items() if value is not None}
 
@@ -86,14 +86,14 @@ TAGS = """
 
 
 class ParsedPage(HTMLParser):
-    """The elements of a page, and its texts without those of scripts and styles.
+    """The elements of a page, and its texts without scripts and styles.
 
     Attributes:
         elements: Names and attributes, in order.
-        text: What there is to read.
-        blocks: Content of the blocks of data by their ids.
-        scripts: What would run.
-        styles: Style sheets.
+        text: The visible text.
+        blocks: Content of the data blocks by their ids.
+        scripts: The executable scripts.
+        styles: The style sheets.
     """
 
     VOID = ("meta", "link", "input", "br")
@@ -138,7 +138,7 @@ class ParsedPage(HTMLParser):
 
 
 def check_harmless(text):
-    """Checks that a page loads nothing and runs nothing but its own script; returns it parsed."""
+    """Checks that a page loads nothing and runs only its own script; returns it parsed."""
     page = ParsedPage(text)
     policy = page.policy()
 

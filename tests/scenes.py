@@ -1,4 +1,4 @@
-"""Small scenes that several tests use."""
+"""Small scenes that are shared by several tests."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ import warpcontact as wc
 
 
 def oracle_law():
-    """The law and friction of the worked numbers of SPEC 1.6: k = 1e5 N/m, c = 100 N·s/m, μ = 0.3."""
+    """Law and friction of the hand values of SPEC 1.6: k = 1e5 N/m, c = 100 N·s/m, μ = 0.3."""
     return wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=1.0e5, damping=100.0),
         friction=wc.friction.Tanh(mu=0.3, velocity_scale=1.0e-3),
@@ -22,7 +22,7 @@ def square(half=1.0, z=0.0):
 def probe(mesh, positions, *, device="cpu", precision="float32", **options):
     """Returns the sensors of one contact at each of ``positions``, one environment per position.
 
-    ``options`` go to ``add_contact``, but for those of the surface.
+    ``options`` are passed to ``add_contact``, except those of the surface.
     """
     of_surface = ("active_faces", "flip", "position", "orientation", "scale")
     surface_options = {key: options.pop(key) for key in of_surface if key in options}

@@ -1,4 +1,4 @@
-"""A small experiment of several shards and blocks, processes that run it, and what their folders must hold."""
+"""A small experiment of several shards and blocks, subprocesses that run it, and checks of their folders."""
 
 import hashlib
 import json
@@ -49,12 +49,12 @@ every = 1e-3
 sensors = ["touch.gap", "touch.normal_force", "touch.status"]
 """
 
-# A frame of a shard of 4 takes some 200 bytes: blocks of about 20 frames.
+# A frame of a shard of 4 has about 200 bytes: blocks of about 20 frames.
 BLOCK = 4096
-#: Three shards on the CPU, with a checkpoint wherever one may be.
+# Three shards on the CPU, with a checkpoint after every chunk of steps.
 OPTIONS = ("--shard", 4, "--device", "cpu", "--checkpoint", 0)
 
-# The command, with blocks that are as small as a test wants them.
+# The command, with a block size that the test sets.
 _COMMAND = """\
 import sys
 import warpcontact.experiment.plan as plan
@@ -66,7 +66,7 @@ sys.exit(main(sys.argv[1:]))
 
 
 def study(folder, **replaced):
-    """Writes the experiment into ``folder``, texts of it replaced, and returns its path."""
+    """Writes the experiment into ``folder``, with replaced texts; returns its path."""
     text = STUDY
     for key, value in replaced.items():
         line = next(line for line in text.splitlines() if line.startswith(f"{key} = "))
@@ -77,7 +77,7 @@ def study(folder, **replaced):
 
 
 def overflowing_study(folder):
-    """Writes an experiment whose lists of partners are too short in environments 2 and 3; returns its path."""
+    """Writes an experiment whose neighbor lists overflow in environments 2 and 3; returns its path."""
     places = [[0.25 * i, 0.0, 0.0] for i in range(40)]
     path = folder / "crowded.toml"
     path.write_text(
@@ -115,7 +115,7 @@ max_neighbors = 1
 
 
 def start_run(*words, first="", block=BLOCK, **options):
-    """Starts ``warpcontact run`` in a process; ``first`` is run before."""
+    """Starts ``warpcontact run`` in a subprocess; the code ``first`` is executed before."""
     code = _COMMAND.format(first=first)
     command = [sys.executable, "-c", code, str(block), "run", *map(str, words)]
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | options
@@ -123,7 +123,7 @@ def start_run(*words, first="", block=BLOCK, **options):
 
 
 def wait_for_end(process, timeout=300):
-    """Waits for a process; returns its exit code, and what it printed and complained of."""
+    """Waits for a process; returns its exit code, standard output and standard error."""
     try:
         out, err = process.communicate(timeout=timeout)
     except subprocess.TimeoutExpired:
@@ -133,7 +133,7 @@ def wait_for_end(process, timeout=300):
 
 
 def run(*words, **options):
-    """Runs ``warpcontact run``; returns what ``ended`` does."""
+    """Runs ``warpcontact run``; returns the result of ``wait_for_end``."""
     return wait_for_end(start_run(*words, **options))
 
 
@@ -150,7 +150,7 @@ def wait_until(holds, process, timeout=300):
 
 
 def have_ended(pids, timeout=60):
-    """Returns whether the processes end in time: who was told to end may do so after the process that told it."""
+    """Returns whether the processes end in time; child processes may end after their parent."""
     deadline = time.monotonic() + timeout
     while any(Path(f"/proc/{pid}").exists() for pid in pids):
         if time.monotonic() > deadline:
@@ -160,7 +160,7 @@ def have_ended(pids, timeout=60):
 
 
 def records(folder):
-    """Returns the records of commits, by the number of the shard."""
+    """Returns the commit records by shard number."""
     found = {}
     for path in (Path(folder) / "commit").glob("shard_*.json"):
         content = json.loads(path.read_text())
@@ -176,20 +176,20 @@ def hashes(folder):
 
 
 def leftovers(folder):
-    """Returns the files that no finished run leaves behind."""
+    """Returns the files that a finished run must have removed."""
     folder = Path(folder)
     temporary = [path for part in ("staging", "checkpoint", "progress") for path in (folder / part).rglob("*")]
     return [*temporary, *folder.rglob("*.partial*")]
 
 
 def kill(process):
-    """Kills a process, as a power cut would, and waits for its end."""
+    """Kills a process abruptly and waits for its end."""
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
 
 
 def check_committed_results(folder, reference):
-    """Checks that an unfinished run shows what is committed, with the values of the whole run."""
+    """Checks that an unfinished run shows the committed results, with the values of the whole run."""
     seen = wc.open_run(folder, verify=True)
     str(seen)
     whole = reference
@@ -211,12 +211,14 @@ def check_committed_results(folder, reference):
     return committed
 
 
-#: Lets a shard be committed after each piece of steps, however long that takes.
+# Commits a shard after each chunk of steps, for any duration of a commit.
 COMMIT_OFTEN = "import warpcontact.experiment.shards as shards; shards.CHECKPOINT_SHARE = 1e9"
 
 
 def kill_at_commit(commits, where="after"):
-    """Returns what lets a process kill itself at a commit: ``before`` its record, ``between`` or ``after`` all."""
+    """Returns code that makes a process kill itself at a commit: ``before`` its record, ``between`` or ``after``
+    all.
+    """
     return f"""{COMMIT_OFTEN}
 import os, signal
 from warpcontact.experiment import store
@@ -244,7 +246,7 @@ store.Ledger.commit, store.Ledger._publish, store.write_json = committing, publi
 
 
 def send_signal_at_step(number, steps):
-    """Returns what lets a process send itself the signal ``number`` once a shard did so many steps, or more."""
+    """Returns code that makes a process send itself the signal ``number`` after ``steps`` steps of a shard."""
     return f"""
 import os
 from warpcontact.experiment import shards
@@ -259,7 +261,7 @@ shards.ProgressFile.write = telling
 
 
 def send_signal_at_stage(number, stage):
-    """Returns what lets a process be sent the signal ``number`` once it says that ``stage`` begins."""
+    """Returns code that makes a process send itself the signal ``number`` when it reports the start of ``stage``."""
     return f"""
 import os
 from warpcontact import cli

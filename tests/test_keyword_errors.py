@@ -1,4 +1,4 @@
-"""Unknown keywords: the message names what was called, its arguments, and the closest one."""
+"""Unknown keywords: the message names the callable, its arguments, and the closest one."""
 
 import inspect
 from typing import Self
@@ -24,7 +24,7 @@ MODULES = (
     "shapes",
     "springs",
 )
-# Types that a user reads, and that the package alone makes; exceptions, enumerations and modules.
+# Types that only the package instantiates; exceptions, enumerations and modules.
 MADE_HERE = (
     *("BenchReport", "Body", "Bushing", "Catenary", "Contact", "ContactCoupling", "Health", "MeshReport", "Model"),
     *("Points", "Recording", "Run", "Shape", "ShapeContact", "SplitModel", "SpringDamper", "Surface"),
@@ -56,7 +56,7 @@ def public():
 
 
 def makes_one(kind, name):
-    """Whether a public class method of ``kind`` returns an instance, from arguments that its signature names."""
+    """Whether a public class method of ``kind`` returns an instance, for arguments made from its signature."""
     if name.startswith("_") or not isinstance(inspect.getattr_static(kind, name), classmethod):
         return False
     signature = inspect.signature(getattr(kind, name))
@@ -213,7 +213,7 @@ WORDS = [
     ("ball.velocity", ["ball.linear_velocity", "ball.position", "cube.angular_velocity"], "ball.linear_velocity"),
     ("touch.delta_dot", ["touch.status", "touch.approach_speed"], "touch.approach_speed"),
     ("touch.gapp", ["touch.gap", "other.gap"], "touch.gap"),
-    # A shared element is no likeness.
+    # A common element name is not a similarity.
     ("touch.zzz", ["touch.gap", "touch.torque"], None),
     ("tuch.k", ["touch.law.stiffness", "ball.mass"], "touch.law.stiffness"),
     ("Mass", ["mass"], "mass"),

@@ -1,4 +1,4 @@
-"""Names that become names of files: their length and characters."""
+"""Names that become file names: length and characters."""
 
 import pytest
 from test_experiment import content
@@ -68,7 +68,7 @@ def test_name_of_a_file_of_laws_has_at_most_200_bytes(tmp_path):
 
 
 def test_variable_with_too_long_name_is_refused_before_writing(tmp_path, monkeypatch):
-    """Such as a parameter of a custom law, whose name no rule of this library limits."""
+    """For example a parameter of a custom law, whose name the library does not limit."""
     monkeypatch.setattr("warpcontact.experiment.store.MAX_NAME_LENGTH", 8)
     experiment = wc.Experiment.from_dict(content(variation={"ball.mass": {"uniform": [1.0, 2.0]}}))
     with pytest.raises(

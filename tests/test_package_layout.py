@@ -1,4 +1,4 @@
-"""The two folders that make one package, what goes wrong when they are mixed up, and what a start loads."""
+"""The two folders that form one package, errors if they are mixed up, and imports at startup."""
 
 import ast
 import gc
@@ -43,7 +43,7 @@ def test_kernels_package_has_one_name(tmp_path):
 
 def test_mixed_checkouts_are_refused(tmp_path):
     shutil.copytree(HOST, tmp_path / "warpcontact", ignore=shutil.ignore_patterns("__pycache__", "kernels"))
-    # The host from the current folder, its kernels from wherever this package is installed.
+    # The host from the current folder, its kernels from the installed package.
     code = (
         "import sys, warpcontact; from importlib import util;"
         f"spec = util.spec_from_file_location('warpcontact.kernels', {str(KERNELS / '__init__.py')!r});"
@@ -129,7 +129,7 @@ def test_package_import_loads_no_slow_package(tmp_path):
 
 
 def test_import_of_every_name_does_not_initialize_warp(tmp_path):
-    # It says so when it starts, and who imports may still want to tell it not to.
+    # The message appears at startup, and the importing program may still disable it.
     code = (
         "import warpcontact as wc; every = [getattr(wc, name) for name in wc.__all__];"
         "import warp; print(warp._src.context.runtime is None)"
@@ -148,7 +148,7 @@ def test_import_for_a_simulation_loads_no_optional_package(tmp_path):
     assert result.stdout.strip().splitlines()[-1] == "[]", result.stderr
 
 
-# What a first step has no need of; of kernels that are imported, Warp parses all functions.
+# Modules that a first step does not need. Warp parses all functions of imported kernels.
 NEEDLESS = (
     *("matplotlib", "numpy.f2py", "pandas", "pxr", "pyarrow", "ray", "scipy", "tqdm", "trimesh", "xarray", "zarr"),
     *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "friction.lugre", "laws.tsuji")),
@@ -187,7 +187,7 @@ def test_garbage_collection_resumes_after_a_pause_if_it_was_enabled():
 
 
 def test_objects_made_in_a_pause_are_in_the_oldest_generation_and_frozen_objects_stay_frozen():
-    # What runs the tests may have frozen something.
+    # The test runner may have frozen objects.
     gc.unfreeze()
     with gc_pause.gc_paused():
         made = [[] for _ in range(10)]
@@ -198,7 +198,7 @@ def test_objects_made_in_a_pause_are_in_the_oldest_generation_and_frozen_objects
         with gc_pause.gc_paused():
             made = [[] for _ in range(10)]
         assert any(one is made for one in gc.get_objects(generation=0))
-        # Some of what is frozen may be freed meanwhile.
+        # Some of the frozen objects may be freed meanwhile.
         assert 0 < gc.get_freeze_count() <= frozen
     finally:
         gc.unfreeze()

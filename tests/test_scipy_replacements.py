@@ -1,4 +1,4 @@
-"""What a first step does without SciPy, which takes longer to import than a model to build, is what SciPy does."""
+"""Replacements of SciPy functions that a first step uses, against SciPy, whose import takes longer than a build."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_contact_times_match_gamma_function_of_scipy():
 def test_connected_components_match_scipy_in_order_of_first_items(count, share):
     rng = np.random.default_rng(count)
     chain = rng.permutation(count)
-    star = np.column_stack([np.full(count, count - 1), np.arange(count)])  # about its last item
+    star = np.column_stack([np.full(count, count - 1), np.arange(count)])  # with its last item as the center
     some = rng.integers(0, count, (round(share * count), 2))
     for links in (some, np.stack([chain[:-1], chain[1:]], axis=1), star):
         graph = coo_array((np.ones(len(links), dtype=bool), links.T), shape=(count, count))
@@ -67,7 +67,7 @@ def test_connected_components_match_scipy_in_order_of_first_items(count, share):
 @pytest.mark.parametrize("seed", range(10))
 def test_close_points_match_kd_tree(seed, offset):
     rng = np.random.default_rng(seed)
-    points = rng.uniform(size=(40 * seed + 2, 3)).round(2)  # many of them level with another
+    points = rng.uniform(size=(40 * seed + 2, 3)).round(2)  # many of them at equal height
     near = points[:: rng.integers(1, 9)]
     points = np.concatenate([points, near + rng.normal(scale=1e-6, size=near.shape)]) + offset
     distances, _ = KDTree(points).query(points, k=2, distance_upper_bound=2e-6)
@@ -109,7 +109,7 @@ def test_walls_over_a_polygonal_boundary_are_its_hull(corners):
 
 
 def terrain(size, noise, turns):
-    """A wavy terrain with four sides, straight but for rounding and ``noise`` [m], turned about z [rad]."""
+    """A wavy terrain with four sides that are straight up to rounding and ``noise`` [m], rotated about z [rad]."""
     x, y = (own.ravel() for own in np.meshgrid(np.linspace(0.0, 1.0, size), np.linspace(0.0, 1.0, size)))
     inside = (x > 0.0) & (x < 1.0) & (y > 0.0) & (y < 1.0)
     vertices = np.column_stack([x, y, np.where(inside, 0.1 * np.sin(9.0 * x) * np.cos(7.0 * y), 0.0)])
@@ -126,7 +126,7 @@ def terrain(size, noise, turns):
 @pytest.mark.parametrize("turns", [(), (0.25 * np.pi,) * 2, (np.pi / 6, -np.pi / 6), (0.3,)])
 @pytest.mark.parametrize("size", [3, 8, 21])
 def test_nearly_straight_boundary_has_four_sides(size, turns, noise):
-    """Also along the axes, where rounding alone tells which vertex is first."""
+    """Also along the axes, where rounding determines the first vertex."""
     mesh = terrain(size, noise, turns)
     sides = make_query_mesh(mesh, np.ones(len(mesh.faces), dtype=bool), np.zeros(3), only_active=False).sides
     assert sides.kind == SIDE_KNOWN_INSIDE_WALLS

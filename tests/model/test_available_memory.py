@@ -1,4 +1,4 @@
-"""How much memory there is, by what the system and its control groups say."""
+"""Available memory as reported by the system and its control groups."""
 
 import os
 
@@ -21,8 +21,8 @@ OLD = {
     ("cgroup", "folder", "files"),
     [
         ("0::/user/job\n", "user/job", LIMITED),
-        ("0::/user/job/step\n", "user", LIMITED),  # a limit further up
-        ("0::/docker/1234\n", ".", LIMITED),  # in a container the group is the top
+        ("0::/user/job/step\n", "user", LIMITED),  # the limit is in a parent group
+        ("0::/docker/1234\n", ".", LIMITED),  # in a container the group is the root
         ("5:cpu:/x\n3:memory,pids:/job\n", "memory/job", OLD),
     ],
 )

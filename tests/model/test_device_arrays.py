@@ -1,4 +1,4 @@
-"""Arrays on a device: more bytes than a dimension of one can have."""
+"""Device arrays with a dimension of more than 2 GiB."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def mark_last(pair: Pair, env: int, item: int):
 
 @pytest.mark.slow
 def test_allocation_above_two_gibibytes_is_contiguous(device):
-    """As 64 points in a million environments have on a GPU."""
+    """As for 64 points in a million environments on a GPU."""
     envs = 2**31 // (64 * RECORD) + 1
     room = available_memory(HOST if device == "cpu" else device)
     if room is not None and room.size < 3 * 2**32:
@@ -32,7 +32,7 @@ def test_allocation_above_two_gibibytes_is_contiguous(device):
     layout.array("states", layout, "plain", wp.uint8, per_env(64 * RECORD), transient=True)
     layout.allocate(envs)
     assert [need.size for need in layout.memory_items(envs)] == [envs * 64 * RECORD] * 2
-    # What lies behind 2³¹ bytes is written and found.
+    # Elements beyond 2³¹ bytes are written and read.
     pair.second[envs - 1 : envs].fill_(wp.vec3f(1.0, 2.0, 3.0))
     wp.launch(mark_last, 1, [pair, envs - 1, 63], device=device)
     layout.plain[envs - 1 : envs].fill_(7)

@@ -1,4 +1,4 @@
-"""What does not fit into memory is refused before it is taken, with what would fit."""
+"""Models that do not fit into memory are rejected before allocation, with the number that would fit."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_too_many_environments_are_refused_before_allocation(device, monkeypatch
     assert f"at most {most} environments fit on {device}" in message
     assert f"run them in {batches} batches of {-(-10_000_000 // batches)}" in message
     assert caught.value.needed > caught.value.available == int(0.85 * 400 * MIB)
-    # So many do fit, and one more does not.
+    # This number fits, and one more does not.
     draft = plan_model(ball_scene(), device)
     rooms = memory_estimate.available_memory_for(draft.memory(1))
     assert memory_estimate.shortage(draft.memory(most, capture_graphs=False), rooms) is None
@@ -36,7 +36,7 @@ def test_too_many_environments_are_refused_before_allocation(device, monkeypatch
 
 def test_memory_error_names_the_device_with_too_little_memory(monkeypatch):
     def split(envs):
-        """Twice as much on the first device as on the second."""
+        """Memory for twice as many on the first device as on the second."""
         return memory_estimate.total(
             memory_estimate.MemoryEstimate(
                 envs // 2, name, (memory_estimate.MemoryItem("state", name, size * envs // 2, size),)
@@ -92,7 +92,7 @@ def test_recording_is_refused_before_the_run_if_it_does_not_fit(device, monkeypa
     assert message.startswith("the recording of 100001 frames: 100 environments need ")
     assert "make every" in message
     assert "times as long, or record less" in message
-    assert "ball.position 229 MiB" in message  # the largest: in float64
+    assert "ball.position 229 MiB" in message  # the largest array: in float64
     assert sim.steps == 0
     assert len(sim.run(0.01, ["touch.gap"], every=1e-3).time) == 11
     set_available_memory(monkeypatch, 1000)
@@ -106,8 +106,10 @@ def test_recording_is_refused_before_the_run_if_it_does_not_fit(device, monkeypa
 def test_parameter_values_per_environment_are_refused_if_they_do_not_fit(parts, device, monkeypatch):
     model = ball_scene().build(1000, [device] * parts)
     mass = np.linspace(1, 2, 1000)
-    set_available_memory(monkeypatch, 5000)  # the host keeps 8 bytes of each
-    message = r"^for a value of ball\.mass in each, 1000 environments need .*; at most \d+ environments fit on"
+    set_available_memory(monkeypatch, 5000)  # the host stores 8 bytes of each
+    message = (
+        r"^for a value of ball\.mass in each, 1000 environments need .*; at most \d+ environments at once fit on"
+    )
     with pytest.raises(MemoryError, match=message):
         model["ball.mass"] = mass
     assert not model.varies("ball.mass")
@@ -116,13 +118,13 @@ def test_parameter_values_per_environment_are_refused_if_they_do_not_fit(parts, 
     assert (model["ball.mass"] == 2.0).all()
     set_available_memory(monkeypatch, 50_000)
     model["ball.mass"] = mass
-    set_available_memory(monkeypatch, 5000)  # nothing more is taken
+    set_available_memory(monkeypatch, 5000)  # no further allocation
     model["ball.mass"] = 2.0 * mass
     assert (model["ball.mass"] == 2.0 * mass).all()
 
 
 def test_sensor_arrays_of_all_parts_are_refused_together(device, monkeypatch):
-    """What fits for each part alone may be too much for all."""
+    """Arrays that fit separately for each part may not fit for all."""
     model = ball_scene().build(100, [device] * 2)
     sim = wc.Simulation(model, dt=1e-4, capture_graphs=False)
     part = model.parts[0]

@@ -1,4 +1,4 @@
-"""What a model takes of memory is known before it is taken, and follows from what allocates."""
+"""Memory estimates of models: available before allocation, and equal to the allocated bytes."""
 
 import gc
 import subprocess
@@ -27,7 +27,7 @@ def test_memory_estimate_equals_allocated_arrays(name, precision, device, counti
     scene = SCENES[name]()
     envs = 13
     draft = plan_model(scene, device, precision)
-    assert counting_allocator.used == 0  # nothing is allocated before it is known to fit
+    assert counting_allocator.used == 0  # no allocation before the check
     planned = draft.memory(envs)
     del draft
     gc.collect()
@@ -37,7 +37,7 @@ def test_memory_estimate_equals_allocated_arrays(name, precision, device, counti
     gc.collect()
     assert array_bytes(model.memory(), model) == counting_allocator.used
     assert planned.items == model.memory().items
-    # What is widened, and what is measured, comes on top.
+    # Parameters per environment and sensors are added.
     mass = np.linspace(1, 2, envs)
     model["ball.mass"] = mass
     model["ball.position"] = np.zeros((envs, 3))
@@ -87,7 +87,7 @@ def test_memory_estimate_of_split_model_is_the_sum_of_its_parts(device, counting
     assert (memory.envs, memory.device) == (envs, device)
     for purpose in ("state", "contacts", "cache", "surfaces", "parameters", "stepping"):
         assert memory.bytes_for(purpose) == sum(part.memory().bytes_for(purpose) for part in model.parts)
-    # One more is on one of the devices; what each of them holds in any case is there three times.
+    # One more environment is on one of the devices; fixed arrays of each device count three times.
     one = wc.Simulation(scene.build(envs, device), dt=1e-4, capture_graphs=False)
     assert memory.bytes_for("surfaces") == 3 * one.memory().bytes_for("surfaces")
     whole, alone = model.memory_estimate(), one.model.memory_estimate()
@@ -101,7 +101,7 @@ def test_memory_estimate_of_split_model_is_the_sum_of_its_parts(device, counting
 
 
 def test_memory_estimate_counts_launches_of_each_thread_and_part():
-    """Each has steps of each part, however many environments there are."""
+    """Each thread has launches for each part, for any number of environments."""
     one, two = (plan_model(ball_scene(), where).memory(1000, threads=2) for where in ("cpu", ["cpu", "cpu"]))
     assert two.bytes_for("launches") == 2 * one.bytes_for("launches")
     assert plan_model(ball_scene(), "cpu").memory(100_000, threads=2).bytes_for("launches") == one.bytes_for(
@@ -132,7 +132,7 @@ def test_memory_estimate_lists_purposes_and_devices(device):
     assert memory.bytes_for("surfaces") <= memory.fixed_bytes < memory.bytes_per_env * 16384
     assert " fixed" in text
     if model.device.is_cpu:
-        assert memory.device_bytes == 0  # there is one memory, the host's
+        assert memory.device_bytes == 0  # the only memory is that of the host
         assert memory.locations == (HOST,)
         assert "host memory: " in text
     else:
@@ -210,7 +210,7 @@ def test_plan_command_prints_estimate_and_runs_nothing(device, tmp_path, capsys,
     assert "not even one environment" in capsys.readouterr().out
     assert main(["run", str(EXAMPLE), "--device", device]) == 2
     assert "not even one environment fits" in capsys.readouterr().err
-    set_available_memory(monkeypatch, 10 * MIB)  # enough to look at the scene, not to record
+    set_available_memory(monkeypatch, 10 * MIB)  # enough to evaluate the scene, not to record
     assert main([*words, "--duration", "3000"]) == 1
     assert "does not fit: not even one environment" in capsys.readouterr().out
     assert main(["run", *words[1:], "--duration", "3000"]) == 2
@@ -220,7 +220,7 @@ def test_plan_command_prints_estimate_and_runs_nothing(device, tmp_path, capsys,
     assert "--shard 0: shard must be a whole number of at least 1, got 0" in capsys.readouterr().err
 
 
-# Sensors of all kinds of needs that one point on a mesh has.
+# Sensors with all kinds of requirements of one point on a mesh.
 RECORDED = ("scene.kinetic_energy", "scene.linear_momentum", "touch.gap", "touch.normal_force", "touch.point")
 
 GROWTH = """
@@ -293,7 +293,7 @@ print(used() - before, memory.bytes_at(place))
     ids=["spheres", "boxes of 64 points", "captured", "captured with poses", "captured with frames"],
 )
 def test_memory_estimate_matches_growth_of_the_process(kind, envs, steps, names, device):
-    """Within 15 %: also what is not in arrays, such as launches and graphs, and what allocators add."""
+    """Within 15 %, including launches, graphs and allocator overhead."""
     if device == "cpu" and not Path("/proc/self/status").is_file():
         pytest.skip("this system does not tell how much memory a process has")
     words = [sys.executable, "-c", GROWTH, kind, str(envs), str(steps), device, *names]
@@ -327,7 +327,9 @@ print(planned, 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status
     ids=["outcomes", "series"],
 )
 def test_memory_plan_matches_peak_of_the_process(envs, changes, tmp_path):
-    """Within 15 %, libraries and all; a first process compiles, which takes more and has nothing to do with it."""
+    """Within 15 %, including libraries. A first process compiles kernels, which needs more memory and is not
+    included.
+    """
     if resources.used_memory() is None:
         pytest.skip("this system does not tell how much memory a process has")
     for count in (10, envs):

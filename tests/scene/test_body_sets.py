@@ -1,4 +1,4 @@
-"""A set of bodies is one element that computes, to the bit, what the same bodies do that are added one by one."""
+"""A body set is one element that gives bitwise the results of the same bodies added one by one."""
 
 import warnings
 
@@ -36,7 +36,7 @@ def sticky():
 
 
 def rolling_scene(together, n=N):
-    """Bodies on a terrain, as a set or one by one, between others that a spring and a surface belong to."""
+    """Bodies on a terrain, as a set or one by one, between others with a spring and a surface."""
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((5, 5), (20, 20)), name="ground")
     box = scene.add_body(3.0, (0.1, 0.1, 0.1), position=(0, 0, 0.4), name="box")
@@ -94,7 +94,7 @@ def per_item(model, name, n=N):
 
 
 def set_values(model, together, n=N):
-    """Gives every environment and body another mass, radius and start."""
+    """Sets a different mass, radius and start in every environment and body."""
     factors = 1.0 + 0.1 * np.arange(ENVS)[:, None]
     height = POSITIONS[:n] + 0.05 * np.arange(ENVS)[:, None, None] * [0, 0, 1]
     values = {"mass": factors * MASSES[:n], "position": height}
@@ -135,7 +135,7 @@ def test_body_set_matches_individual_bodies(precision, device):
     for sim in simulations:
         sim.step(1500)
     assert_same(models)
-    # Touching, sticking, and hitting the other body, each somewhere.
+    # Contact, stick, and collision with the other body each occur.
     assert (models[0].sensor("touch.status") == wc.ContactStatus.CONTACT).any()
     assert models[0].sensor("touch.friction.spring").any()
     assert models[0].sensor("hit.gap").min() < 0.2
@@ -263,7 +263,7 @@ def test_body_set_of_many_bodies_is_built_from_arrays(device):
     radii = np.linspace(0.01, 0.05, n)
     material = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e5, damping=10.0))
     scene.add_contact(scene.add_point(grains, (0, 0, 0)), ground, material, radius=radii, name="touch")
-    # Elements do not grow with the number of bodies.
+    # The number of elements does not depend on the number of bodies.
     assert [len(part) for part in (scene.bodies, scene.points, scene.contacts)] == [1, 1, 1]
     model = scene.build(1, device)
     tables = model.arrays.model
@@ -272,7 +272,7 @@ def test_body_set_of_many_bodies_is_built_from_arrays(device):
     for name in ("set_cluster_start", "cluster_start", "body_cluster_start"):
         np.testing.assert_array_equal(getattr(tables, name).numpy(), np.arange(n + 1), err_msg=name)
     np.testing.assert_array_equal(tables.body_cluster.numpy(), 2 * np.arange(n))
-    # Their points are where they turn about: a set of them would be as large as the heap.
+    # The points are at the body origins, so the extent of the set is zero, not that of the packing.
     assert not tables.set_extent.numpy().any()
     np.testing.assert_allclose(model.sensor("touch.gap")[0], 0.5 - radii, atol=1e-6)
     wc.Simulation(model, dt=1e-3).step(3)
@@ -288,7 +288,7 @@ def test_usd_export_draws_body_set_as_instances(model, tmp_path):
     assert [str(target) for target in balls.GetPrototypesRel().GetTargets()] == [f"{path}/ball"]
     np.testing.assert_allclose(value(stage, path, "scales")[:, 0], RADII, rtol=1e-6)
     assert len(value(stage, path, "protoIndices")) == N
-    # The middles of the spheres are points of turned bodies.
+    # The centers of the spheres are points of rotated bodies.
     for frame in range(recording.sizes["time"]):
         pose = recording.isel(time=frame, env=1)
         turned = Rotation.from_quat(pose["grains.orientation"].values).apply(PLACES)
@@ -323,8 +323,8 @@ def test_too_long_step_for_one_body_of_a_set_warns(device):
     points = scene.add_point(grains, (0, 0, 0))
     scene.add_contact(points, ground, wc.ContactMaterial(law=law), radius=0.1, name="touch")
     model = scene.build(2, device)
-    # π √(m/k): 31 ms of the first body, 0.31 ms of the second.
-    with pytest.warns(wc.ContactWarning, match=r"touch: dt = 0\.0001 s is too long: a contact lasts 0\.00031 s"):
+    # π √(m/k): 31 ms for the first body, 0.31 ms for the second.
+    with pytest.warns(wc.ContactWarning, match=r"touch: dt = 0\.0001 s is too long: a contact takes 0\.00031 s"):
         wc.Simulation(model, dt=1e-4).step(1)
     model["grains.mass"] = 1.0
     with warnings.catch_warnings():
@@ -346,7 +346,7 @@ def with_contact(**options):
 
 
 def on_set(add):
-    """Returns a call of ``add`` with a scene and a set of it."""
+    """Returns a call of ``add`` with a scene and its body set."""
     return lambda: add(*with_set())
 
 

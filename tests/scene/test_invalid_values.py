@@ -1,4 +1,4 @@
-"""Values of a wrong kind are refused by a sentence that names the entry, everywhere, and never become numbers."""
+"""Values of a wrong type are rejected everywhere by a message that names the entry, and are not converted."""
 
 import copy
 import pickle
@@ -9,9 +9,9 @@ from scenes import dropped_sphere
 
 import warpcontact as wc
 
-#: Keywords that take numbers of environments.
+# Keywords that take environment numbers.
 KEYS = {wc.export_usd: "envs", wc.render: "env"}
-#: No numbers, although NumPy converts some of them.
+# Not numbers, although NumPy converts some of them.
 NO_NUMBERS = (
     True,
     [True],
@@ -46,7 +46,7 @@ def scene():
     return one
 
 
-#: Entries of the scene that take numbers, with a question mark if they may be ``None``.
+# Entries of the scene that take numbers, with a question mark if they may be ``None``.
 OF_SCENE = {
     "gravity": lambda s, v: wc.Scene(gravity=v),
     "max_speed": lambda s, v: wc.Scene(max_speed=v),
@@ -66,7 +66,7 @@ OF_SCENE = {
     "envs": lambda s, v: s.build(envs=v, device="cpu"),
     "samples": lambda s, v: s.add_surface_contact(s.ground, s.ground, wc.ContactMaterial(law=LAW), samples=v),
 }
-#: Other entries that take numbers.
+# Other entries that take numbers.
 OTHERS = {
     "Hooke.stiffness": lambda v: wc.laws.Hooke(stiffness=v),
     "Tanh.mu": lambda v: wc.friction.Tanh(mu=v, velocity_scale=1.0),
@@ -92,7 +92,7 @@ OTHERS = {
     "size": wc.meshes.box,
     "count": lambda v: wc.sample_surface(wc.meshes.box(), v, method="blue_noise"),
 }
-#: Entries of a model and a simulation.
+# Entries of a model and a simulation.
 OF_MODEL = {
     "ball.mass": lambda m, v: m.__setitem__("ball.mass", v),
     "touch.law.stiffness": lambda m, v: m.__setitem__("touch.law.stiffness", v),
@@ -108,7 +108,7 @@ OF_MODEL = {
 
 
 def refused(call, name, *context):
-    """Returns the values of ``NO_NUMBERS`` that a call does not refuse by a sentence about ``name``."""
+    """Returns the values of ``NO_NUMBERS`` that a call does not reject with a message about ``name``."""
     wrong = []
     word = name.rstrip("?").rpartition(".")[2]
     for value in NO_NUMBERS:

@@ -1,4 +1,4 @@
-"""What a user may hand in, and what is said when it is wrong."""
+"""Arguments of the scene API, and errors for invalid ones."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""A scene of one of each: every kind of element, with arguments that no default has."""
+"""Scenes with every kind of element, with arguments that differ from all defaults."""
 
 from typing import Any
 
@@ -19,13 +19,13 @@ class Cubic(wc.Law):
 
 
 def turned(random):
-    """An orientation with four components."""
+    """A random orientation with four nonzero components."""
     q = random.normal(size=4)
     return q / np.linalg.norm(q)
 
 
 def wavy(seed, count=6, half=1.0):
-    """An uneven sheet with vertices that float32 does not hold, in two groups of faces."""
+    """An uneven sheet whose vertices float32 cannot represent, in two groups of faces."""
     random = np.random.default_rng(seed)
     ticks = np.linspace(-half, half, count)
     x, y = np.meshgrid(ticks, ticks, indexing="ij")
@@ -38,7 +38,7 @@ def wavy(seed, count=6, half=1.0):
 
 
 def contact_scene(gravity=(0.1, -0.2, -9.7)):
-    """Spheres, surfaces, springs and lines, all of which move."""
+    """Spheres, surfaces, springs and cables, all of which move."""
     odd = np.random.default_rng(7)  # numbers without a short decimal form
     scene = wc.Scene(gravity=gravity, max_speed=123.4, max_distance=55.5)
     bumps = wavy(1)
@@ -102,7 +102,7 @@ def contact_scene(gravity=(0.1, -0.2, -9.7)):
 
 
 def shape_scene():
-    """Shapes, smooth and particle contacts, sets of bodies and every motion that a table or a joint describes."""
+    """Shapes, shape and particle contacts, body sets, and every joint and prescribed motion that USD can describe."""
     odd = np.random.default_rng(8)
     scene = wc.Scene()
     plane = scene.add_shape(None, wc.shapes.Plane(), orientation=turned(odd), name="plane", color=(0, 1, 0))
@@ -150,7 +150,7 @@ def shape_scene():
 
 
 def custom_law_scene():
-    """A ball on a law of one's own."""
+    """A ball with a custom law."""
     scene = wc.Scene()
     ground = scene.add_surface(wavy(4))
     ball = scene.add_body(0.5, (1e-3, 1e-3, 1e-3), (0, 0, 0.15), name="ball")

@@ -1,4 +1,4 @@
-"""Stages of UsdPhysics that both this library and Newton read, as text."""
+"""UsdPhysics stages that both this library and Newton read, as text."""
 
 from physics_stages import BODY, COLLIDER, CUBE, WEIGHT, body, mesh, moved, prim
 
@@ -42,7 +42,7 @@ def about_axes(kind, row):
 
 
 TURNED = moved(0, 0, 1, turn=(0, 90, 0))
-#: Of which all bodies and shapes are compared.
+# Stages whose bodies and shapes are compared.
 STAGES = {
     "nested": body(
         "outer", cube("outer_box") + body("inner", cube("inner_box"), moved(2, 0, 0, turn=(0, 0, 30))), TURNED
@@ -90,7 +90,7 @@ STAGES = {
     "inertia tensor": body(
         "one",
         "double[] newton:inertia = [1, 2, 2.5, 0.1, 0.2, 0.3]\nfloat physics:mass = 7\n" + cube("box"),
-        # Of both schemas: Newton sees that its own includes the other only if no stage was opened before.
+        # With both schemas: Newton sees that its own includes the other only if no stage was opened before.
         apis='prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI", "NewtonMassAPI"]',
     ),
     "colliders with masses": body(
@@ -114,14 +114,14 @@ STAGES = {
 
 
 def row(first=""):
-    """Four bodies with a box each, ``first`` in the first."""
+    """Four bodies with a box each; ``first`` is added to the first."""
     return "".join(
         body(name, first * (i == 0) + cube(f"{name}_box"), moved(3 * i, 0, 0), BODY if i else PAIRED)
         for i, name in enumerate("abcd")
     )
 
 
-#: Of which the pairs that may touch are compared.
+# Stages whose pairs of colliders are compared.
 TOUCHING = {
     "all": row(),
     "a group with itself": row() + group("g", "/a", "/b", filtered="</g>"),

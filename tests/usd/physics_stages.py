@@ -1,4 +1,4 @@
-"""USD physics stages as text, for tests of what is read of them."""
+"""USD physics stages as text, for tests of the import."""
 
 BODY = 'prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]'
 COLLIDER = 'prepend apiSchemas = ["PhysicsCollisionAPI"]'

@@ -1,4 +1,4 @@
-"""check_usd finds every defect on a stage that was sound before, and names the prim, the attribute, the value."""
+"""check_usd finds every defect added to a valid stage, and names the prim, the attribute and the value."""
 
 import numpy as np
 import pytest
@@ -272,7 +272,7 @@ def test_zero_mass_and_moments_count_as_not_given(valid_stage, tmp_path):
 
 
 def test_non_finite_time_sample_is_reported(valid_stage, tmp_path):
-    """Layers keep times sorted, whatever order a file has them in; they may hold any number, though."""
+    """Layers sort time codes from any file, but the values can be any number."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(Sdf.Layer.FindOrOpen(str(valid_stage)))
     layer.SetTimeSample(f"{BALL}.physics:mass", 3.0, 1.0)

@@ -1,4 +1,4 @@
-"""Value clips: every frame as in a single file, no more in memory than a block, and gone on with after a stop."""
+"""Value clips: frames equal those of a single file, memory is limited to a block, and exports can be resumed."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ def recording(device):
 
 @pytest.fixture(scope="module")
 def folder(recording, tmp_path_factory):
-    """A single file, and the same as clips."""
+    """A single file, and the same recording as clips."""
     path = tmp_path_factory.mktemp("clips")
     wc.export_usd(recording, path / "one.usdc", **OPTIONS)
     wc.export_usd(recording, path / "run.usdc", clip_frames=FRAMES, **OPTIONS)
@@ -37,7 +37,7 @@ def test_clip_attributes_equal_the_single_file_at_every_time(folder):
     everything = Usd.PrimAllPrimsPredicate
     paths = [[prim.GetPath() for prim in Usd.PrimRange.Stage(stage, everything)] for stage in (one, clips)]
     assert sorted(paths[0]) == sorted(paths[1])
-    # At records, between them, and across the seams, of which one is between 6 and 7.
+    # At records, between them, and across the boundaries of clips, of which one is between 6 and 7.
     codes = [Usd.TimeCode.Default(), *np.arange(31.0), 2.5, 6.25, 6.75, 13.5, 27.9]
     compared = 0
     for path in paths[0]:

@@ -1,4 +1,4 @@
-"""Couplings in USD: curves from end to end, sensors as attributes, broken ones gone."""
+"""Couplings in USD: curves between their ends, sensors as attributes, invisible if broken."""
 
 import numpy as np
 import pytest
@@ -88,7 +88,7 @@ def test_coil_has_constant_radius_and_is_continuous():
     off = inner - (inner @ along[..., None]) * along[:, None]
     radius = np.linalg.norm(off, axis=-1)
     np.testing.assert_allclose(radius, radius[0, 0], rtol=1e-12)
-    # A turn of 2π/199 moves points by no more than some of that.
+    # A rotation by 2π/199 moves points by at most a few times that.
     assert np.linalg.norm(np.diff(points, axis=0), axis=-1).max() < 3.0 * 2.0 * np.pi / 199
     nowhere = np.zeros((1, 3))
     assert np.isfinite(coil_points(nowhere, nowhere, Coil.of(nowhere, nowhere))).all()
@@ -119,7 +119,7 @@ def test_usd_catenary_matches_recorded_shape(device, tmp_path):
 
 
 def test_folded_catenary_is_visible_in_usd(device, tmp_path):
-    """Codes of lines are others than those of springs."""
+    """Status codes of cables differ from those of springs."""
     scene = wc.Scene(gravity=(0, 0, -9.81))
     load = scene.add_body(1.0, (1.0, 1.0, 1.0), (0.0, 0.0, -3.0), name="load")
     ends = scene.add_point(None, (0.0, 0.0, 0.0)), scene.add_point(load, (0.0, 0.0, 0.0))

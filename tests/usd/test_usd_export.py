@@ -1,4 +1,4 @@
-"""What export_usd writes is what was recorded: read back with pxr, number by number."""
+"""Stages of export_usd contain the recorded values: read with pxr and compared."""
 
 import numpy as np
 import pytest
@@ -70,7 +70,7 @@ def test_usd_bodies_move_as_recorded(recording, stage, body):
             np.testing.assert_array_equal(translation, recording[f"{body}.position"].isel(at).values)
             expected = Rotation.from_quat(recording[f"{body}.orientation"].isel(at).values).as_matrix()
             np.testing.assert_allclose(rotation, expected, atol=1e-9)
-    # A program that ignores time sees the first record.
+    # A program that ignores time shows the first record.
     start = world(stage, f"/World/env_1/{body}", Usd.TimeCode.Default())[1]
     np.testing.assert_array_equal(start, recording[f"{body}.position"].values[0, 1])
 
@@ -207,7 +207,7 @@ def test_usd_arrows_equal_the_force_on_the_body(recording, stage, tmp_path):
                 _, automatic = arrows(stage, path, frame)
                 longest = max(longest, np.linalg.norm(automatic[acts], axis=1).max(initial=0.0))
                 np.testing.assert_allclose(vectors / 0.01, automatic / scale, atol=0.02)
-    # The cube's corners are farthest from its centre.
+    # The vertices of the cube are farthest from its center.
     assert longest == pytest.approx(1.5 * 2 * np.linalg.norm(CORNERS[0]), rel=0.2)
     np.testing.assert_array_equal(value(stage, f"{path}/head", "primvars:displayColor"), [[0, 1, 0]])
     assert "0.01 m for 1 N" in scaled.GetPrimAtPath(path).GetDocumentation()
@@ -334,7 +334,7 @@ def test_usd_points_of_a_surface_follow_it_in_each_environment(radius, device, t
 
 
 def test_usd_arrow_length_is_relative_to_body_size(device, tmp_path):
-    """Of the largest in any environment, whichever mesh it has there."""
+    """Relative to the largest mesh in any environment."""
     longest = {}
     for factor in (1.0, 4.0):
         scene = wc.Scene()

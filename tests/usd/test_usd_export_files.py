@@ -1,4 +1,4 @@
-"""Files of stages: in every format, there as a whole or not at all, and what is wrong said by name."""
+"""Stage files: all formats, atomic writes, and errors that name the file."""
 
 import os
 import subprocess
@@ -43,7 +43,7 @@ def test_repeated_export_is_bitwise_identical(recording, tmp_path):
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
 def test_full_disk_is_reported_and_keeps_the_existing_stage(recording, tmp_path, suffix):
-    """A limit on the size of files stands for it."""
+    """A limit on the file size simulates it."""
     path = tmp_path / f"stage{suffix}"
     wc.export_usd(recording, path, envs=0)
     before = path.read_bytes()
@@ -78,7 +78,7 @@ def test_unwritable_path_is_reported(recording, tmp_path, suffix):
 
 
 def test_usd_export_is_atomic(recording, tmp_path, monkeypatch):
-    """Whoever looks finds the old stage or the new one."""
+    """A reader finds the old stage or the new one."""
     path = tmp_path / "stage.usdc"
     wc.export_usd(recording, path, envs=0)
     seen = []

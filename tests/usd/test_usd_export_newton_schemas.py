@@ -1,4 +1,4 @@
-"""NewtonMaterialAPI and NewtonSceneAPI in exports, and what Newton and this library read of them."""
+"""NewtonMaterialAPI and NewtonSceneAPI in exports, as read by Newton and by this library."""
 
 import importlib.util
 
@@ -9,7 +9,7 @@ from pxr import Sdf, Usd
 
 import warpcontact as wc
 
-pytestmark = [pytest.mark.installed, pytest.mark.filterwarnings("default")]  # of Newton
+pytestmark = [pytest.mark.installed, pytest.mark.filterwarnings("default")]  # warnings of Newton
 
 SINGLE = 1e-6
 ROLLING = wc.friction.CundallStrack(mu_static=0.02, mu_dynamic=0.01, stiffness=1e3)
@@ -19,7 +19,7 @@ RADIUS = 0.25
 
 
 def ball_on(floor="plane", law=LINEAR, rolling=ROLLING, torsion_radius=0.05):
-    """A scene of a ball that touches a floor."""
+    """A scene with a ball in contact with a floor."""
     scene = wc.Scene()
     ball = scene.add_body(2.0, (0.05,) * 3, (0, 0, 1), name="ball")
     touch = wc.ContactMaterial(
@@ -62,7 +62,7 @@ def exported(tmp_path, scene, data=None, **attrs):
 
 
 def written(path, where="/World/PhysicsMaterials/touch"):
-    """The authored attributes of Newton of a prim."""
+    """Authored Newton attributes of a prim."""
     stage = Usd.Stage.Open(str(path))
     values = {one.GetName(): one.Get() for one in stage.GetPrimAtPath(where).GetAuthoredAttributes()}
     return {name.removeprefix("newton:"): one for name, one in values.items() if name.startswith("newton:")}
@@ -82,9 +82,9 @@ ALL = {
         ({}, ALL),
         ({"floor": "mesh"}, ALL),
         ({"floor": "ball"}, ALL | {"rollingFriction": 0.01 * RADIUS / 2}),
-        # The radius of rolling on an ellipsoid depends on the point.
+        # The rolling radius of an ellipsoid depends on the point.
         ({"floor": "egg"}, {key: value for key, value in ALL.items() if key != "rollingFriction"}),
-        # An arm of torsion that follows from the overlap is not one number.
+        # A lever arm of torsion that follows from the overlap is not a single number.
         ({"torsion_radius": None, "rolling": None}, {"contactStiffness": 2e4, "contactDamping": 30.0}),
         (
             {"law": wc.laws.Hooke(stiffness=1e3), "torsion_radius": None, "rolling": None},
@@ -134,7 +134,7 @@ def test_material_values_that_vary_are_written_per_environment(tmp_path):
 def test_physics_scene_has_time_step_and_iterations(tmp_path, attrs, expected):
     path = exported(tmp_path, ball_on(), **attrs)
     assert written(path, "/World/PhysicsScene") == expected
-    # From the stage itself, next to its description.
+    # From the stage itself, in addition to the scene description.
     again = wc.Scene.from_usd(path, trusted=True)
     rate = expected.get("timeStepsPerSecond")
     assert again.suggested_dt == (None if rate is None else 1.0 / rate)

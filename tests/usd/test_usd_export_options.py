@@ -1,4 +1,4 @@
-"""What export_usd is asked for: environments, spacing, times, names, files, and what it refuses."""
+"""Options of export_usd: environments, spacing, times, names, files, and errors."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""What other simulators read of an export: friction, restitution, joints, gravity, and what collides."""
+"""UsdPhysics in exports, for other simulators: friction, restitution, joints, gravity, and colliders."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ STIFF = wc.laws.HuntCrossley(stiffness=1e4, restitution=0.6)
 
 
 def bound_material(stage, path):
-    """Static friction, dynamic friction, restitution of what is bound to a prim for physics."""
+    """Static friction, dynamic friction and restitution of the physics material bound to a prim."""
     found, _ = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(path)).ComputeBoundMaterial("physics")
     api = UsdPhysics.MaterialAPI(found.GetPrim())
     assert found.GetPrim().HasAPI(UsdPhysics.MaterialAPI), path
@@ -105,7 +105,7 @@ def test_unchanged_masses_equal_those_of_the_scene(device, tmp_path):
     mass = UsdPhysics.MassAPI(stage.GetPrimAtPath("/World/env_1/one"))
     assert mass.GetMassAttr().Get() == 2.0
     assert mass.GetDiagonalInertiaAttr().Get() == Gf.Vec3f(1.0, 1.5, 2.0)
-    # It was varied, and not recorded.
+    # It was varied but not recorded.
     assert not UsdPhysics.MassAPI(stage.GetPrimAtPath("/World/env_1/other")).GetMassAttr().HasAuthoredValue()
 
 
@@ -130,7 +130,7 @@ def joined(device):
 
 
 def joint_frame(stage, path, side, code):
-    """Origin and rotation (3, 3) of the frame of a joint on one of its sides, world."""
+    """Origin and rotation (3, 3), in the world, of the frame of a joint on one of its sides."""
     joint = UsdPhysics.Joint(stage.GetPrimAtPath(path))
     place = np.array(getattr(joint, f"GetLocalPos{side}Attr")().Get(), dtype=float)
     q = getattr(joint, f"GetLocalRot{side}Attr")().Get()
@@ -153,7 +153,7 @@ def test_usd_joint_frames_coincide_at_all_times(joined, tmp_path, name, spacing)
     for code in (0, 11, 30):
         (p0, r0), (p1, r1) = (joint_frame(stage, path, side, code) for side in (0, 1))
         shift, rest = r0.T @ (p1 - p0), r0.T @ r1
-        # Frames of joints are in single precision.
+        # Joint frames are in single precision.
         if name in ("hinge", "ball"):
             np.testing.assert_allclose(shift, 0.0, atol=2e-6)
         if name == "slider":

@@ -1,4 +1,4 @@
-"""Another reader, Newton, loads what was exported, with the right masses, poses, gravity and friction."""
+"""Newton loads exported stages with the right masses, poses, gravity and friction."""
 
 import importlib.util
 
@@ -11,7 +11,7 @@ import warpcontact as wc
 LACKING = [name for name in ("newton", "newton_usd_schemas") if importlib.util.find_spec(name) is None]
 pytestmark = [
     pytest.mark.skipif(bool(LACKING), reason=f"{' and '.join(LACKING)} not installed"),
-    pytest.mark.filterwarnings("default"),  # of Newton, on what it passes over
+    pytest.mark.filterwarnings("default"),  # of Newton, about ignored prims
     pytest.mark.slow,
 ]
 
@@ -20,7 +20,7 @@ MASSES = (1.0, 2.0, 3.0)
 
 @pytest.fixture(scope="module")
 def loaded(device, tmp_path_factory):
-    """The file of a simulation of three balls, as Newton reads it; its builder."""
+    """The exported file of a simulation of three balls, and the builder of Newton that read it."""
     import newton
 
     scene = wc.Scene(gravity=(0.0, 0.0, -3.7))
@@ -38,7 +38,7 @@ def loaded(device, tmp_path_factory):
         scene.add_shape_contact(skin, plane, rubber, name=f"touch_{i}")
     model = scene.build(device=device)
     recording = wc.Simulation(model, dt=1e-3).run(duration=0.02, every=1e-2)
-    for i, mass in enumerate(MASSES):  # what no environment changed is not recorded, and left out
+    for i, mass in enumerate(MASSES):  # parameters without variation are not recorded, and not authored
         recording[f"ball_{i}.mass"] = ("env", [mass])
         tensor = np.diag([0.01, 0.02, 0.025]) * mass
         recording[f"ball_{i}.inertia"] = (("env", "row", "column"), tensor[None])
@@ -49,7 +49,7 @@ def loaded(device, tmp_path_factory):
 
 
 def bodies(loaded):
-    """Numbers of the bodies of Newton, in the order of ours."""
+    """Indices of the bodies in Newton, in the order of this library."""
     builder, found = loaded
     paths = {path.rpartition("/")[2]: number for path, number in found["path_body_map"].items()}
     return builder, [paths[f"ball_{i}"] for i in range(len(MASSES))]
@@ -85,13 +85,13 @@ def test_newton_reads_exported_friction_and_restitution(loaded):
         assert builder.shape_material_restitution[shape] == pytest.approx(0.6)
 
 
-# Of newton's own: bodies whose mass, centre and inertia follow from shapes, densities and materials.
+# Files of Newton with bodies whose mass, center and inertia follow from shapes, densities and materials.
 WEIGHING = (
     "examples/assets/axis_cube.usda",
     "examples/assets/palletizer_scene.usda",
     "examples/assets/humanoid.usda",
     "tests/assets/cube_cylinder.usda",
-    # Written by a converter, with each link below the one before and no reset of its transform.
+    # Written by a converter, with each link below the previous one and no transform reset.
     "tests/assets/cartpole_mjc.usda",
     "tests/assets/humanoid_mjc.usda",
 )
@@ -110,10 +110,10 @@ def test_third_party_bodies_have_mass_and_pose_as_in_newton(name):
     assert len(numbers) == len(scene.bodies)
     for body in scene.bodies:
         if isinstance(body.motion, wc.motions.Fixed):
-            continue  # the mass of what does not move means nothing
+            continue  # the mass of a static body has no meaning
         i = numbers[body.name]
         pose, centre = np.array(builder.body_q[i]), np.array(builder.body_com[i])
-        # Newton computes in single precision, a few roundings of it.
+        # Newton computes in single precision, with a few roundings.
         assert float(body.mass) == pytest.approx(builder.body_mass[i], rel=1e-6)
         place = pose[:3] + Rotation.from_quat(pose[3:]).apply(centre)
         np.testing.assert_allclose(body.position, place, atol=1e-6)

@@ -1,4 +1,4 @@
-"""Forces of contact couplings and of particle contacts as arrows, in the length and direction that was recorded."""
+"""Forces of contact couplings and particle contacts as arrows with the recorded length and direction."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is read of a stage of UsdPhysics: units, masses, shapes, materials, gravity, and who touches whom."""
+"""Import of UsdPhysics stages: units, masses, shapes, materials, gravity, and collision pairs."""
 
 import subprocess
 import sys
@@ -24,7 +24,7 @@ def read(tmp_path, content, *, metadata=None, **options):
 
 
 def one(tmp_path, content, **metadata):
-    """The only body of a stage that it describes."""
+    """The only body of an imported stage."""
     (found,) = read(tmp_path, content, metadata=metadata).bodies
     return found
 
@@ -95,7 +95,7 @@ def solid(kind, sizes):
 
 
 PI = np.pi
-SOLIDS = {  # volume and principal moments over the mass, of closed forms
+SOLIDS = {  # volume, and principal moments over the mass, in closed form
     "Sphere": ("double radius = 0.3", 4 / 3 * PI * 0.027, [0.4 * 0.09] * 3),
     "Cube": ("double size = 0.6", 0.216, [0.06] * 3),
     "Cylinder": (
@@ -120,7 +120,7 @@ def test_body_without_mass_has_the_mass_of_its_colliders(tmp_path, kind):
     assert found.mass == pytest.approx(1000 * volume, rel=SINGLE)
     if moments is not None:
         np.testing.assert_allclose(np.diag(found.inertia) / found.mass, moments, rtol=1e-6)
-    if kind == "Cone":  # a quarter of the way up from its base
+    if kind == "Cone":  # a quarter of the height above its base
         np.testing.assert_allclose(found.position, (0, 0, -0.15), atol=1e-9)
 
 
@@ -130,7 +130,7 @@ def test_capsule_inertia_matches_sampling(tmp_path):
     axis = np.clip(random[:, 1], -0.3, 0.3)
     inside = random[np.linalg.norm(random - np.outer(axis, (0, 1, 0)), axis=1) < 0.2]
     second = inside.T @ inside / len(inside)
-    # Two million points: a thousandth.
+    # Two million points: an error of 1e-3.
     expected = np.trace(second) * np.eye(3) - second
     np.testing.assert_allclose(found.inertia / found.mass, expected, atol=2e-3 * expected.max())
 
@@ -228,7 +228,7 @@ def names(scene):
 
 
 def three(more="", filtered=""):
-    """A static floor, and two bodies with a box each."""
+    """A static floor and two bodies with a box each."""
     part = [prim("Cube", f"box_{i}", COLLIDER, "double size = 1") for i in range(2)]
     bodies = "".join(body(f"body_{i}", filtered * (i == 0) + part[i], moved(3 * i, 0, 2)) for i in range(2))
     return prim("Plane", "floor", COLLIDER, 'uniform token axis = "Z"') + bodies + more
@@ -292,7 +292,7 @@ def test_filtered_pairs_exclude_contacts_below_both_prims(tmp_path):
 
 
 def drop(tmp_path, collider, floor, steps=3000, **options):
-    """Height of a body of 1 kg above its start after it fell on a floor."""
+    """Height of a body of 1 kg above the floor after its fall."""
     content = body(content="float physics:mass = 1\n" + collider, pose=moved(0, 0, 0.301)) + floor
     scene = read(tmp_path, content, **options)
     model = scene.build(device="cpu", precision="float64")
@@ -319,8 +319,8 @@ FLOOR_OF = {
 @pytest.mark.parametrize("floor", FLOOR_OF)
 @pytest.mark.parametrize("part", CUBE_OF)
 def test_imported_body_comes_to_rest_for_every_pair_of_collider_types(tmp_path, part, floor):
-    # It sinks in by g (T/π)² at most with a contact time T of 0.01 s, 0.1 mm; twice that where each side of two
-    # meshes carries half. Half a second is enough for a fall of 1 mm to end.
+    # The penetration is at most g (T/π)², 0.1 mm for a contact time T of 0.01 s; twice that if each side of two
+    # meshes carries half. After half a second, a fall of 1 mm has ended.
     assert drop(tmp_path, CUBE_OF[part], FLOOR_OF[floor]) == pytest.approx(0.3, abs=2.5e-4)
 
 
@@ -393,7 +393,7 @@ def test_imported_scene_runs_with_nonsmooth_contact(tmp_path):
         read(tmp_path, content).build(device="cpu"), dt=2e-3, integrator=wc.integrators.MoreauJean()
     )
     sim.step(200)
-    # Contact without a stiffness: it does not sink in but by the rounding of the solver.
+    # Nonsmooth contact: penetration is limited to the tolerance of the solver.
     assert sim.state.body_position.numpy()[0, 0, 2] == pytest.approx(0.3, abs=1e-5)
 
 

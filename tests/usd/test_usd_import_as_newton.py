@@ -1,4 +1,4 @@
-"""Stages of UsdPhysics as Newton reads them: bodies, poses, masses, shapes, materials and pairs that may touch.
+"""UsdPhysics stages as read by Newton: bodies, poses, masses, shapes, materials and collision pairs.
 
 A test of an intended difference states its reason.
 """
@@ -17,20 +17,20 @@ import warpcontact as wc
 LACKING = [name for name in ("newton", "newton_usd_schemas") if importlib.util.find_spec(name) is None]
 pytestmark = [
     pytest.mark.skipif(bool(LACKING), reason=f"{' and '.join(LACKING)} not installed"),
-    pytest.mark.filterwarnings("default"),  # of Newton
+    pytest.mark.filterwarnings("default"),  # warnings of Newton
 ]
 
-# Single precision, a few roundings.
+# A few roundings in single precision.
 SINGLE = 1e-5
 
 
 class Both:
-    """A stage read by both programs; lengths and masses of Newton are turned into SI."""
+    """A stage read by both programs; lengths and masses of Newton are converted to SI units."""
 
     def __init__(self, tmp_path, content, *, metres=1.0, kilograms=1.0, up="Z", **options):
         import newton
 
-        # Newton leaves rigid bodies in the units of the stage; here they are in SI.
+        # Newton keeps the units of the stage for rigid bodies; here they are converted to SI units.
         self.metres, self.kilograms = metres, kilograms
         header = f"kilogramsPerUnit = {kilograms}\n"
         path = stage(tmp_path, content, metres=metres, up=up, header=header)
@@ -42,17 +42,17 @@ class Both:
         self.types = newton.GeoType
 
     def pose(self, name):
-        """Position of a body's origin [m] and its rotation, by Newton."""
+        """Position of a body's origin [m] and its rotation, in Newton."""
         pose = np.array(self.builder.body_q[self.body_numbers[name]], dtype=np.float64)
         return self.metres * pose[:3], Rotation.from_quat(pose[3:])
 
     def centre(self, name):
-        """Center of mass of a body, world [m], by Newton."""
+        """Center of mass of a body, world [m], in Newton."""
         place, turn = self.pose(name)
         return place + turn.apply(self.metres * np.array(self.builder.body_com[self.body_numbers[name]]))
 
     def inertia(self, name):
-        """Inertia of a body, world [kg·m²], by Newton."""
+        """Inertia of a body, world [kg·m²], in Newton."""
         own = np.array(self.builder.body_inertia[self.body_numbers[name]], dtype=np.float64).reshape(3, 3)
         turn = self.pose(name)[1].as_matrix()
         return self.kilograms * self.metres**2 * turn @ own @ turn.T
@@ -73,7 +73,7 @@ class Both:
                 np.testing.assert_allclose(own @ one.inertia @ own.T, expected, atol=slack, err_msg=one.name)
 
     def check_shapes(self):
-        """Compares carriers, types, sizes and places of all analytic shapes, and carriers of meshes."""
+        """Compares bodies, types, sizes and poses of all analytic shapes, and bodies of meshes."""
         names = [one.name for one in (*self.scene.shapes, *self.scene.surfaces)]
         assert sorted(names) == sorted(self.shape_numbers)
         for one in (*self.scene.shapes, *self.scene.surfaces):
@@ -104,7 +104,7 @@ class Both:
         assert type(form) is type(expected), one.name
         for key, value in expected.parameters().items():
             assert form.parameters()[key] == pytest.approx(value, rel=SINGLE), (one.name, key)
-        if kind == "CONE":  # the origin of ours is at the base, that of Newton halfway up
+        if kind == "CONE":  # the origin is at the base here and halfway up in Newton
             place = place - turn.apply([0.0, 0.0, sizes[1]])
         own, own_turn = one.positions[0], Rotation.from_quat(one.orientations[0])
         if one.body is not None:
@@ -114,11 +114,11 @@ class Both:
         axes = own_turn.as_matrix(), turn.as_matrix()
         if kind == "BOX":
             np.testing.assert_allclose(*axes, atol=SINGLE, err_msg=one.name)
-        elif kind != "SPHERE":  # a turn about its own axis changes nothing
+        elif kind != "SPHERE":  # a rotation about its own axis has no effect
             np.testing.assert_allclose(axes[0][:, 2], axes[1][:, 2], atol=SINGLE, err_msg=one.name)
 
     def pairs(self):
-        """Names of colliders that may touch, by each program."""
+        """Name pairs of colliders, by each program."""
         builder, names = self.builder, {i: name for name, i in self.shape_numbers.items()}
         apart = {tuple(sorted(pair)) for pair in builder.shape_collision_filter_pairs}
         theirs = {
@@ -146,7 +146,7 @@ def test_imported_units_and_up_axis_match_newton(tmp_path):
     )
     both = Both(tmp_path, content, metres=0.01, kilograms=0.001, up="Y")
     both.check()
-    # Newton turns gravity in single precision.
+    # Newton rotates gravity in single precision.
     np.testing.assert_allclose(both.scene.gravity, 0.01 * np.array(both.builder.gravity), atol=1e-5)
 
 
@@ -156,7 +156,7 @@ def test_given_mass_and_center_shift_the_inertia_unlike_newton(tmp_path):
     )
     both.check_bodies(inertia=False)
     # 0.5 kg·m² about the center of the cube; by the parallel axis theorem 3 · 0.2² more about the given center.
-    # Newton has it, too, if the body has no mass of its own.
+    # Newton has the same if the body has no authored mass.
     np.testing.assert_allclose(np.diag(both.inertia("one")), 0.5, rtol=SINGLE)
     np.testing.assert_allclose(np.diag(both.scene.bodies[0].inertia), (0.5, 0.62, 0.62), rtol=SINGLE)
 
@@ -168,7 +168,7 @@ def test_given_mass_scales_collider_masses_unlike_newton(tmp_path):
     )
     both = Both(tmp_path, body("one", "float physics:mass = 8\n" + parts))
     both.check_bodies(inertia=False)
-    # 2 kg at 1.5 m and 6 kg at −0.5 m from the center of mass, which Newton has, too.
+    # 2 kg at 1.5 m and 6 kg at −0.5 m from the center of mass, the same in Newton.
     np.testing.assert_allclose(np.diag(both.scene.bodies[0].inertia), (8 / 6, 8 / 6 + 6, 8 / 6 + 6), rtol=SINGLE)
     np.testing.assert_allclose(np.diag(both.inertia("one")), (8 / 6, 8 / 6 + 8, 8 / 6 + 8), rtol=SINGLE)
 
@@ -208,7 +208,7 @@ def test_imported_material_values_match_newton(tmp_path):
     (contact,) = both.scene.shape_contacts
     law, friction = contact.material.law, contact.material.friction
     ours = {
-        "mu": friction.mu_dynamic,  # Newton has no other
+        "mu": friction.mu_dynamic,  # Newton has one coefficient only
         "ke": law.stiffness,
         "kd": law.damping,
         "mu_rolling": contact.material.rolling.mu_dynamic * 0.1,

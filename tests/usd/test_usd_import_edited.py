@@ -1,4 +1,4 @@
-"""Stages of ours that others went on with: what was added is refused with a list, or left out with a remark."""
+"""Exported stages that were edited: additions are rejected with a list, or skipped with a remark."""
 
 import all_elements_scene
 import numpy as np
@@ -33,7 +33,7 @@ def path(recording, tmp_path):
 
 
 def edit(path, change):
-    """Changes the stage, and returns the problems of what it is then."""
+    """Changes the stage; returns the problems of its import."""
     opened = Usd.Stage.Open(str(path))
     change(opened)
     opened.GetRootLayer().Save()

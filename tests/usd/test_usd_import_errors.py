@@ -1,4 +1,4 @@
-"""Stages that make no sense, or have what there is no counterpart for, are refused with a list."""
+"""Stages with invalid content, or content without a counterpart, are rejected with a list."""
 
 import re
 
@@ -193,7 +193,7 @@ def test_files_outside_the_folder_are_read_only_if_trusted(tmp_path):
 
 
 def test_reader_crash_is_reported_as_an_error(tmp_path):
-    # The parser of USD recurses into dictionaries until its stack is used up.
+    # The parser of USD recurses into dictionaries until its stack is exhausted.
     deep = "dictionary a = {" * 50_000 + "}" * 50_000
     path = tmp_path / "deep.usda"
     path.write_text(f"#usda 1.0\n(\ncustomLayerData = {{ {deep} }}\n)\n")

@@ -1,4 +1,4 @@
-"""Stages of very many colliders: read in memory that grows with them and not with their pairs, or refused."""
+"""Stages with very many colliders: memory grows with their number and not with their pairs, or they are rejected."""
 
 import tracemalloc
 from itertools import combinations, islice
@@ -31,7 +31,7 @@ def test_memory_to_import_many_spheres_is_linear(tmp_path):
         tracemalloc.stop()
     (pile,) = scene.particle_contacts
     assert (pile.count, len(scene.shape_contacts), len(scene.contacts)) == (count, 0, 0)
-    # A body and a shape with all their attributes take some kilobytes; of all pairs there would be 200 kB each.
+    # A body and a shape with all attributes need some kilobytes; all pairs would need 200 kB each.
     assert peak < 30_000 * count
 
 
@@ -49,7 +49,7 @@ def test_pair_count_stops_at_the_limit_without_a_list_of_pairs(monkeypatch):
     monkeypatch.setattr(np, "flatnonzero", lambda mask: mask_sizes.append(len(mask)) or find(mask))
     free = np.arange(count), np.ones(count, dtype=bool), np.full(count, -1), np.empty((0, 2), dtype=np.int64)
     assert len(list(islice(other_pairs(*free), 10_001))) == 10_001
-    # Each look along the row of one collider finds almost 3000 pairs.
+    # Each evaluation of the row of one collider finds almost 3000 pairs.
     assert len(mask_sizes) == 4
 
 

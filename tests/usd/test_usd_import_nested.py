@@ -1,4 +1,4 @@
-"""Rigid bodies below rigid bodies: each has its own pose, mass and colliders."""
+"""Rigid bodies below rigid bodies: each has separate pose, mass and colliders."""
 
 import numpy as np
 import pytest
@@ -19,12 +19,12 @@ def cube(name, content=""):
 
 
 def read(tmp_path, content, **options):
-    # Trusted: without the start of a process, which takes a second.
+    # Trusted: avoids the start of a process, which takes a second.
     return wc.Scene.from_usd(stage(tmp_path, content), trusted=True, **options)
 
 
 def nested(tmp_path, *, reset, more="", inner=""):
-    """A body of 1 kg turned by 90° about y, and one of 2 kg inside of its prim."""
+    """A body of 1 kg rotated by 90° about y, and one of 2 kg below its prim."""
     pose = moved(2, 0, 0)
     pose = pose.replace('"xformOp:translate"', RESET) if reset else pose
     own = body("inner", f"float physics:mass = 2\n{inner}{cube('inner_box')}", pose)
@@ -38,7 +38,7 @@ def test_nested_body_has_its_own_pose_mass_and_colliders(tmp_path, reset):
     outer, inner = scene.bodies
     assert (outer.name, inner.name) == ("outer", "inner")
     assert [float(one.mass) for one in (outer, inner)] == [1.0, 2.0]
-    # Of cubes of 1 m about their centers: neither body has the collider of the other.
+    # For cubes of 1 m about their centers: no body has the collider of the other.
     for one in (outer, inner):
         np.testing.assert_allclose(one.inertia, one.mass / 6.0 * np.eye(3), rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(outer.position, (0, 0, 1), atol=1e-12)
@@ -46,7 +46,7 @@ def test_nested_body_has_its_own_pose_mass_and_colliders(tmp_path, reset):
     turn = np.zeros(3) if reset else (0, np.pi / 2, 0)
     np.testing.assert_allclose(Rotation.from_quat(inner.orientation).as_rotvec(), turn, atol=1e-12)
     assert [(one.name, one.body) for one in scene.shapes] == [("outer_box", outer), ("inner_box", inner)]
-    # Nothing fixes one to the other, so they touch.
+    # They are not fixed to each other, so they can be in contact.
     assert [(one.shape.name, one.other_shape.name) for one in scene.shape_contacts] == [("outer_box", "inner_box")]
     assert sum(NESTED in remark for remark in scene.import_warnings) == (not reset)
 

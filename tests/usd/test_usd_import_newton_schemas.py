@@ -1,4 +1,4 @@
-"""NewtonMaterialAPI, NewtonSceneAPI, NewtonMassAPI and NewtonCollisionAPI of a stage."""
+"""Import of NewtonMaterialAPI, NewtonSceneAPI, NewtonMassAPI and NewtonCollisionAPI."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ PLANE = 'uniform token axis = "Z"\n'
 
 
 def read(tmp_path, content, *, metadata=None, **options):
-    # Trusted: without the start of a process, which takes a second.
+    # Trusted: avoids the start of a process, which takes a second.
     return wc.Scene.from_usd(stage(tmp_path, content, **(metadata or {})), trusted=True, **options)
 
 
@@ -34,7 +34,7 @@ def floor(kind="Plane", sizes=PLANE, bound="m"):
 
 
 def pair(tmp_path, materials, *, one=None, other=None, **options):
-    """Law and friction of the contact of a ball of 0.1 m and 3 kg with a floor, and the scene."""
+    """Contact of a ball of 0.1 m and 3 kg with a floor: its material, and the scene."""
     scene = read(tmp_path, materials + (ball() if one is None else one) + (other or floor()), **options)
     contacts = [*scene.shape_contacts, *scene.contacts]
     return contacts[0].material, scene
@@ -53,7 +53,7 @@ def test_values_of_two_materials_are_averaged_only_if_both_are_authored(tmp_path
     two = material("n", newton_contactStiffness=3e4, physics_restitution=0.4)
     found, _ = pair(tmp_path, one + two, other=floor(bound="n"))
     assert (found.law.stiffness, found.law.restitution) == pytest.approx((2e4, 0.2), rel=SINGLE)
-    # Radius 0.1 m: the couple is μ R N = 0.01 m × N.
+    # Radius 0.1 m: the torque is μ R N = 0.01 m × N.
     assert found.rolling.mu_dynamic == pytest.approx(0.1, rel=SINGLE)
 
 
@@ -73,7 +73,7 @@ def test_unauthored_coefficient_of_friction_is_not_zero(tmp_path, values, expect
     assert any("/m: the material has no authored friction" in remark for remark in scene.import_warnings) == (
         not values
     )
-    # With a collider without material, 0.5, sliding friction does not exceed friction at rest either.
+    # With a collider without material, 0.5, dynamic friction does not exceed static friction either.
     mixed, _ = pair(tmp_path, material(apis='"PhysicsMaterialAPI"', **named), other=floor(bound=None))
     assert mixed.friction.mu_static >= mixed.friction.mu_dynamic
 
@@ -252,7 +252,7 @@ def test_rolling_and_spinning_ball_slows_down_by_the_friction_of_its_material(tm
     names = ["ball.linear_velocity", "ball.angular_velocity"]
     found = simulation.run(0.5, names, every=0.25)
     v, w = (found[name].values[:, 0] for name in names)
-    # A rolling solid sphere: (1 + 2/5) a = ρ g/R; a spinning one: (2/5) m R² α = τ m g. In the second half
-    # the ball has settled.
+    # A rolling solid sphere: (1 + 2/5) a = ρ g/R; a spinning one: (2/5) m R² α = τ m g. The ball has settled in
+    # the second half.
     assert (v[1, 0] - v[2, 0]) / 0.25 == pytest.approx(0.002 / 0.1 * 9.81 / 1.4, rel=1e-3)
     assert (w[1, 2] - w[2, 2]) / 0.25 == pytest.approx(0.004 * 9.81 / (0.4 * 0.1**2), rel=1e-3)

@@ -1,4 +1,4 @@
-"""Scenes that others wrote, as they come with Newton: each runs, or is refused with a list."""
+"""Scenes of third parties that come with Newton: each runs or is rejected with a list."""
 
 import importlib.util
 from pathlib import Path
@@ -10,7 +10,7 @@ import warpcontact as wc
 
 SPEC = importlib.util.find_spec("newton")
 ROOT = Path(SPEC.origin).parent if SPEC and SPEC.origin else None
-# What there is no counterpart for in a scene, or None: it runs. Scenes without UsdPhysics are left out.
+# Content without a counterpart in a scene, or None if the scene runs. Scenes without UsdPhysics are excluded.
 SCENES = {
     "examples/assets/axis_cube.usda": None,
     "examples/assets/palletizer_scene.usda": None,
@@ -72,6 +72,6 @@ def test_third_party_box_comes_to_rest_on_its_plate(device):
     model = scene.build(device=device, precision="float64")
     sim = wc.Simulation(model, dt=2e-4)
     sim.step(5000)
-    # It sinks in by g (T/π)² at most with a contact time T of 0.01 s.
+    # The penetration is at most g (T/π)² for a contact time T of 0.01 s.
     assert sim.state.body_position.numpy()[0, 0, 2] == pytest.approx(0.1, abs=1.1e-4)
     assert scene.shape_contacts[0].material.friction.mu_static == pytest.approx(0.5 * (0.78 + 0.5))

@@ -1,4 +1,4 @@
-"""All environments as instances: where they are, what colours them, and that nothing is drawn twice."""
+"""All environments as instances: positions, colors, and no duplicates."""
 
 import matplotlib as mpl
 import numpy as np
@@ -24,7 +24,7 @@ def stage(recording, tmp_path_factory):
 
 
 def instances(stage, name, code):
-    """Matrices (n, 4, 4) of all instances, masked or not, acting on row vectors."""
+    """Matrices (n, 4, 4) of all instances, masked or not, for row vectors."""
     instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath(f"/World/Ensemble/{name}"))
     ignored, own = UsdGeom.PointInstancer.IgnoreMask, UsdGeom.PointInstancer.ExcludeProtoXform
     return np.array(instancer.ComputeInstanceTransformsAtTime(code, code, own, ignored))
@@ -54,7 +54,7 @@ def test_usd_instance_ids_are_environments_and_drawn_ones_are_masked(stage):
 
 
 def test_usd_instances_have_the_size_of_their_environment(recording, tmp_path):
-    """One radius of one body: multiples of one sphere. A cube beside it that does not grow: as many looks."""
+    """One radius per body gives scaled copies of one sphere. A cube of constant size has one prototype per size."""
     stage = export(recording, tmp_path, envs=0, ensemble=True)
     first = UsdGeom.Sphere(stage.GetPrimAtPath("/World/Ensemble/ball/look_0/touch_0")).GetRadiusAttr().Get()
     if stage.GetPrimAtPath("/World/Ensemble/ball/look_1"):
@@ -99,7 +99,7 @@ def test_usd_instance_colors_follow_a_sensor_over_time(recording, stage):
         np.testing.assert_allclose(found, expected, atol=1e-6)
     primvar = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/World/Ensemble/ball")).GetPrimvar("displayColor")
     assert primvar.GetInterpolation() == "vertex"
-    # What has a colour of its own would not show that of the instance.
+    # A color of the prototype would override that of the instance.
     for prim in stage.GetPrimAtPath("/World/Ensemble/cube/look_0").GetChildren():
         assert not prim.GetAttribute("primvars:displayColor").HasAuthoredValue()
 

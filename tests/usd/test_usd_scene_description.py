@@ -1,4 +1,4 @@
-"""A scene that is written to a stage and read from it is the same: argument by argument, and step by step."""
+"""A scene written to a stage and read again is equal: argument by argument, and step by step."""
 
 import dataclasses
 
@@ -30,7 +30,7 @@ def reread(stage, tmp_path, suffix):
 
 
 def flat(value):
-    """What a value says, in a form that compares to the bit."""
+    """Returns the content of a value in a form for bitwise comparison."""
     if isinstance(value, np.ndarray):
         return (value.dtype.str, value.shape, value.tobytes())
     if isinstance(value, type):

@@ -1,4 +1,4 @@
-"""Shapes and shape contacts on USD stages: primitives, meshes, sizes of each environment, forces."""
+"""Shapes and shape contacts on USD stages: primitives, meshes, sizes per environment, forces."""
 
 import numpy as np
 import pytest
@@ -104,7 +104,7 @@ def test_tessellated_shapes_are_outward_and_enclose_their_volume(form):
         "Cone": np.pi * 0.1**2 * 0.1,
         "Torus": 2 * np.pi**2 * 0.2 * 0.05**2,
     }
-    # Flat triangles lie inside, by the square of their size.
+    # Flat triangles are inside the shape, by the square of their size.
     if type(form).__name__ in known:
         assert volume == pytest.approx(known[type(form).__name__], rel=0.02)
     else:

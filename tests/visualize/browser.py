@@ -1,4 +1,4 @@
-"""A page in headless Chromium, driven over its DevTools protocol: what it shows, asks for and complains of."""
+"""A page in headless Chromium, controlled by the DevTools protocol: content, requests and errors."""
 
 import base64
 import contextlib
@@ -25,7 +25,7 @@ FLAGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
-    # What Chromium itself asks for in the background; a page that asks for it is found by its requests.
+    # Blocks background requests of Chromium itself; requests of the page are recorded.
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     "--remote-debugging-port=0",
 )
@@ -34,7 +34,7 @@ PHONE = (390, 844)
 
 
 def executable():
-    """Path of a Chromium; ``WARPCONTACT_CHROMIUM`` names one. The test is skipped if there is none."""
+    """Path of a Chromium; ``WARPCONTACT_CHROMIUM`` sets it. The test is skipped if there is none."""
     found = os.environ.get("WARPCONTACT_CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
     if not found:
         pytest.skip("there is no Chromium to look at pages with")
@@ -43,13 +43,13 @@ def executable():
 
 @contextlib.contextmanager
 def browser(folder):
-    """Starts Chromium with its profile in ``folder``; yields what opens pages.
+    """Starts Chromium with its profile in ``folder``; yields a function that opens pages.
 
-    ``page(url, size, dark, still, script)``: ``still`` for who wants no motion, ``script``: whether any runs.
+    ``page(url, size, dark, still, script)``: ``still``: reduced motion; ``script``: whether scripts are enabled.
     """
     profile = Path(folder) / "profile"
     port_file = profile / "DevToolsActivePort"
-    port_file.unlink(missing_ok=True)  # of a browser that had the folder before
+    port_file.unlink(missing_ok=True)  # from an earlier browser with this folder
     command = [executable(), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
@@ -57,7 +57,7 @@ def browser(folder):
         started = lambda: port_file.is_file() and "\n" in port_file.read_text()  # noqa: E731
         _wait(lambda: started() or ended(), 120.0, "Chromium to start")
         if ended():
-            # Of some systems the program only tells how to install it.
+            # On some systems the program only prints how to install it.
             pytest.skip(f"{command[0]} does not start: exit code {process.returncode}")
         port = int(port_file.read_text().split("\n")[0])
 
@@ -81,8 +81,8 @@ class Page:
     """A tab.
 
     Attributes:
-        requests: URLs that the page and its workers asked for, of sockets too, but not what lies in the page.
-        errors: What they logged as errors, and exceptions that nobody caught.
+        requests: URLs requested by the page and its workers, including sockets, except data and blob URLs.
+        errors: Logged errors and uncaught exceptions.
     """
 
     def __init__(self, port, size, dark, still, script):
@@ -113,7 +113,7 @@ class Page:
             self.call("Emulation.setScriptExecutionDisabled", value=True)
 
     def _listen(self, session):
-        # Workers wait until their requests are listened to as well.
+        # Workers pause until their requests are recorded as well.
         follow = {"autoAttach": True, "waitForDebuggerOnStart": True, "flatten": True}
         for method, options in (
             ("Runtime.enable", {}),
@@ -121,7 +121,7 @@ class Page:
             ("Network.enable", {}),
             ("Target.setAutoAttach", follow),
         ):
-            # Of a worker there is no log of its own.
+            # Workers do not have all of these methods.
             with contextlib.suppress(RuntimeError) if session else contextlib.nullcontext():
                 self.call(method, session, **options)
 
@@ -139,7 +139,7 @@ class Page:
 
     def _take(self, event):
         if "id" in event:
-            # Of the call that waits, or of one that was made before it and took up an event meanwhile.
+            # The answer to this call, or to an earlier one that processed events while it waited.
             self._answers[event["id"]] = event
             return
         method, options = event["method"], event.get("params", {})
@@ -162,7 +162,7 @@ class Page:
             self.errors.append(f"{entry['text']} {entry.get('url', '')}".strip())
 
     def listen(self, seconds):
-        """Waits, and takes what happens meanwhile."""
+        """Processes events for some seconds."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             try:
@@ -176,7 +176,7 @@ class Page:
         self.wait_for("location.href !== 'about:blank' && document.readyState === 'complete'")
 
     def evaluate(self, expression):
-        """Returns the value of a JavaScript expression, a promise awaited."""
+        """Returns the value of a JavaScript expression, awaiting a promise."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in answer:
             details = answer["exceptionDetails"]
@@ -195,11 +195,11 @@ class Page:
         return found[0]
 
     def text(self):
-        """What there is to read on the page."""
+        """Visible text of the page."""
         return self.evaluate("document.body.innerText")
 
     def place(self, expression):
-        """The middle of the element that an expression gives, once there is one, scrolled into view [px]."""
+        """Center [px] of the element given by an expression, after it exists and was scrolled into view."""
         self.wait_for(f"Boolean({expression})")
         box = (
             "(e => { e.scrollIntoView({block: 'center', behavior: 'instant'}); "
@@ -209,19 +209,19 @@ class Page:
         return self.evaluate(box)
 
     def mouse(self, kind, x, y, **options):
-        """Sends an event of the mouse, such as ``mousePressed``."""
+        """Sends a mouse event, such as ``mousePressed``."""
         down = {} if kind == "mouseMoved" and not options.get("buttons") else {"button": "left"}
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **{"clickCount": 1} | down | options)
 
     def click(self, expression):
-        """Clicks on the element that an expression gives."""
+        """Clicks on the element given by an expression."""
         x, y = self.place(expression)
         self.mouse("mouseMoved", x, y)
         self.mouse("mousePressed", x, y)
         self.mouse("mouseReleased", x, y)
 
     def drag(self, start, end):
-        """Presses the mouse at ``start``, moves it to ``end`` [px] and lets it go."""
+        """Drags the mouse from ``start`` to ``end`` [px]."""
         self.mouse("mouseMoved", *start)
         self.mouse("mousePressed", *start)
         for part in (0.25, 0.5, 0.75, 1.0):
@@ -230,17 +230,17 @@ class Page:
         self.mouse("mouseReleased", *end)
 
     def key(self, key, code=None, number=0, text=""):
-        """Presses a key and lets it go."""
+        """Presses and releases a key."""
         same = {"key": key, "code": code or key, "windowsVirtualKeyCode": number}
         self.call("Input.dispatchKeyEvent", type="keyDown", text=text, **same)
         self.call("Input.dispatchKeyEvent", type="keyUp", **same)
 
     def write(self, text):
-        """Types text where the cursor is."""
+        """Types text at the cursor."""
         self.call("Input.insertText", text=text)
 
     def screenshot(self, path=None):
-        """Takes a picture, a PNG; returns its bytes, and writes them into the file ``path``."""
+        """Takes a screenshot; returns the bytes of the PNG, and writes them to ``path``."""
         content = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         if path is not None:
             Path(path).write_bytes(content)

@@ -1,4 +1,4 @@
-"""Drawings made by hand, to be shown without a simulation."""
+"""Handmade drawings that can be rendered without a simulation."""
 
 import math
 
@@ -48,18 +48,18 @@ def drawing(figures, curves=(), contact_forces=(), size=1.0):
 
 
 def camera(azimuth=0.0, elevation=0.0, *, distance=10.0, angle=20.0, target=(0.0, 0.0, 0.0)):
-    """An eye by angles [degrees]."""
+    """A camera given by angles [degrees]."""
     backward = direction(math.radians(azimuth), math.radians(elevation))
     return Camera(np.array(target, dtype=float), backward, distance, math.radians(angle))
 
 
 def paint(figures, eye, size=(128, 128), samples=1, background=WHITE, device="cpu", threads=1, has_grid=()):
-    """The picture of figures; those in ``has_grid`` have lines on them."""
+    """Picture of figures; those in ``has_grid`` are drawn with grid lines."""
     stage = Stage(drawing(figures), wp.get_device(device))
     items = [place_figure(one, 0, 0, has_grid=one in has_grid) for one in figures]
     return Painter(stage, background, threads).paint(items, [], eye, size, samples)
 
 
 def covered(picture):
-    """Which pixels show anything before a white background."""
+    """Pixels that differ from a white background."""
     return (picture < 255).any(axis=-1)

@@ -1,4 +1,4 @@
-"""Decimated curves keep their extremes, their ends and their gaps, and so do those of stored sensors."""
+"""Decimated curves keep their extremes, ends and gaps, also for stored sensors."""
 
 import itertools
 
@@ -82,7 +82,7 @@ def test_evenly_spaced_indices_include_both_ends():
 
 @pytest.fixture
 def stored():
-    """A force on three points in five environments, of which environment 12 is frozen."""
+    """A force at three points in five environments, of which environment 12 is frozen."""
     random = np.random.default_rng(1)
     values = random.random((50, 5, 3))
     values[20, 3] = 100.0

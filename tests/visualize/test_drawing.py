@@ -1,4 +1,4 @@
-"""What is drawn of a recording is where the elements of the scene are, in every record of every environment."""
+"""Drawings of a recording have the poses of the elements, in every record of every environment."""
 
 import numpy as np
 import pytest
@@ -126,8 +126,8 @@ def test_drawn_shapes_have_outward_normals(form, count, device):
     area = np.linalg.norm(outward, axis=1)
     assert (area > 0.0).all()
     np.testing.assert_allclose(np.linalg.norm(shape.normals, axis=1), 1.0, rtol=1e-6)
-    # Seen from outside, normals of the corners lie within the angle up to which faces look round.
-    # Slivers, whose own directions are rounding, count by their area.
+    # Vertex normals are outward and within the smoothing angle of the faces. Slivers, whose normals are rounding,
+    # count by their area.
     leaning = np.einsum("fi,fi->f", outward, shape.normals[shape.faces[:, 0]])
     assert (leaning < 0.9 * area).sum(where=area > 1e-4 * area.mean()) == 0
     assert leaning.sum() > 0.99 * area.sum()

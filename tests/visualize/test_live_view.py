@@ -1,4 +1,4 @@
-"""The live view without a browser: what its pages do by their inputs, who may connect, how it ends."""
+"""The live view without a browser: pages and their inputs, connections, and shutdown."""
 
 import contextlib
 import logging
@@ -30,13 +30,13 @@ def run(tmp_path_factory):
 
 
 def place(show):
-    """Where the ball is drawn."""
+    """Drawn position of the ball."""
     ball = next(one for one in show.stage._figures if one.name == "touch")
     return np.array(ball.nodes[0].batched_positions[0])
 
 
 def listens(address, port):
-    """Whether anybody answers there."""
+    """Whether a server listens at the address."""
     with socket.socket() as one:
         one.settimeout(5.0)
         return one.connect_ex((address, port)) == 0
@@ -47,7 +47,7 @@ def test_run_is_replayed_at_the_selected_time(run):
     recorded = wc.open_run(run).recording["ball.position"]
     with viewing(run) as show:
         assert show.picker.env == 0
-        # A page shows single precision, whatever was recorded.
+        # A page uses single precision, independent of the recording.
         np.testing.assert_array_equal(place(show), recorded.sel(env=0).values[0].astype(np.float32))
         show.time_input.value = 0.1203
         wait_for_thread(show)
@@ -128,7 +128,7 @@ def test_view_follows_a_running_run(tmp_path):
         wait_for_thread(show)
         assert show.source.envs.tolist() == list(range(10))
         assert len(show._drawing.times) == 201
-        # Who looked at the last record looks at the last one there is now.
+        # A page at the last record moves to the new last record.
         assert show.record == 200
         show.picker.input.value = 9
         wait_for_thread(show)
@@ -158,7 +158,7 @@ def test_failed_environments_are_marked(tmp_path):
     path = sharded_runs.study(tmp_path)
     text = path.read_text().replace("[variation]", "[variation]\n'touch.law.stiffness' = { values = VALUES }")
     values = [1e5] * 10
-    values[3] = values[8] = 1e12  # the step is far too long for it
+    values[3] = values[8] = 1e12  # the step is far too long for this stiffness
     path.write_text(text.replace("VALUES", str(values)) + "\n[quarantine]\nmax_speed = 50\n")
     with pytest.warns(RuntimeWarning, match="2 of 10 environments became faster"):
         wc.Experiment.from_toml(path).run(tmp_path / "run", device="cpu", progress=False)
@@ -183,12 +183,12 @@ def test_recording_is_replayed():
         arrows, _ = show.stage._touches[0]
         assert arrows.visible
         start, end = arrows.points[0]
-        # The longest arrow is 1.5 times as long as the ball is wide, 0.2 m; single precision.
+        # The longest arrow is 1.5 times the diameter of the ball, 0.2 m; single precision.
         force = recording["touch.normal_force"].sel(env=2).values
         np.testing.assert_allclose(end - start, [0, 0, 0.3 * force[-1] / force.max()], atol=1e-6)
         ball = next(one for one in show.stage._figures if one.name == "touch")
         red, green, blue = ball.nodes[0].batched_colors[0].tolist()
-        assert red > green > blue  # it lies in the ground a little
+        assert red > green > blue  # slightly in the ground
         show.forces_input.value = False
         wait_for_thread(show)
         assert not arrows.visible
@@ -211,7 +211,7 @@ def test_simulation_continues_with_a_changed_parameter():
             wait_for_thread(show)
             return found[0]
 
-        # It came to rest: a damped oscillation of 20 periods.
+        # It has come to rest: a damped oscillation of 20 periods.
         np.testing.assert_allclose(force(), WEIGHT, rtol=1e-6)
         show.picker.input.value = 1
         wait_for_thread(show)
@@ -282,7 +282,7 @@ def test_simulated_time_follows_the_requested_speed():
     with viewing(simulation, speed=0.01) as show:
         show.post(show.toggle)
         poll_until(lambda: simulation.steps >= 5)
-        # Steps of 1 ms at a hundredth of the real time: 0.1 s on the wall for each, and they cannot be ahead.
+        # Steps of 1 ms at 0.01 of real time take 0.1 s each, and the simulation does not run ahead.
         assert simulation.time < 0.5
         assert show.problem == ""
 
@@ -370,7 +370,7 @@ def test_view_server_listens_on_localhost_only(run):
         assert show.server.url == f"http://127.0.0.1:{port}"
         with urllib.request.urlopen(show.server.url) as answer:
             assert answer.status == 200
-        # Another address of this machine: whoever listens on all of them answers there.
+        # Another address of this machine; a server on all addresses would answer there.
         assert listens("127.0.0.1", port)
         assert not listens("127.0.0.2", port)
         assert show.server.request_share_url() is None
@@ -378,13 +378,13 @@ def test_view_server_listens_on_localhost_only(run):
 
 
 def test_connections_without_request_are_not_logged(run, monkeypatch):
-    # Browsers open some ahead; other servers of the same library still tell.
+    # Browsers open some connections in advance; other servers of the same library still log them.
     from websockets.exceptions import InvalidMessage
 
     logger, records = logging.getLogger("websockets.server"), []
     handler = logging.Handler()
     handler.emit = records.append
-    # Viser leaves a filter of its own there with the first page of a process.
+    # Viser adds a filter there with the first page of a process.
     monkeypatch.setattr(logger, "filters", [])
     monkeypatch.setattr(logger, "handlers", [handler])
     with viewing(run) as show:
@@ -417,7 +417,7 @@ def test_connections_from_other_origins_are_refused(run):
 
         def talk():
             with connect(address, subprotocols=[protocol], origin="http://example.org", proxy=None) as other:
-                # What it says before it is refused is heard by nobody.
+                # Messages before the rejection are ignored.
                 for _ in range(20):
                     other.send(message)
                 while True:

@@ -1,4 +1,4 @@
-"""The live view in a browser: what is on its pages moves, can be used, and asks nobody else for anything."""
+"""The live view in a browser: pages animate, controls work, and no external requests are made."""
 
 import contextlib
 import io
@@ -16,7 +16,7 @@ import warpcontact as wc
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 
 HOSTILE = '<img src=x onerror="window.harmed=1"><script>window.harmed=1</script>'
-# What a page of viser says of a machine without a GPU goes away by itself, over what is looked at.
+# Viser's notification about a machine without a GPU covers the view and disappears by itself.
 NOTE = "document.querySelector('.mantine-Notification-closeButton')"
 
 
@@ -28,7 +28,7 @@ def open_page(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Folder of a run with a name that tries to harm, and all that arrows and colours need."""
+    """Folder of a run with a malicious name, and with data for arrows and colors."""
     folder = tmp_path_factory.mktemp("view")
     path = sharded_runs.study(folder)
     text = path.read_text().replace('"touch.status"]', '"touch.status", "touch.point", "touch.normal"]')
@@ -38,9 +38,9 @@ def run(tmp_path_factory):
 
 
 def ready(page):
-    """Waits until the page shows what it is of, without notes of the browser over it."""
-    page.wait_for("document.querySelector('canvas') !== null && document.body.innerText.includes('Frame the')")
-    # It comes when the first picture was drawn; software renderers take their time.
+    """Waits until the page shows its content, without notifications of viser."""
+    page.wait_for("document.querySelector('canvas') !== null && document.body.innerText.includes('Look at the')")
+    # It appears after the first picture; software renderers are slow.
     page.wait_for(f"{NOTE} !== null || performance.now() > 15000")
     if page.evaluate(f"{NOTE} !== null"):
         page.click(NOTE)
@@ -49,24 +49,24 @@ def ready(page):
 
 
 def picture(page):
-    """What is drawn left of the panel: RGB (row, column, 3) in 0…1."""
-    page.listen(1.5)  # drawn by software
+    """The view to the left of the panel: RGB (row, column, 3) in 0…1."""
+    page.listen(1.5)  # software rendering
     return imread(io.BytesIO(page.screenshot()))[:, :850, :3]
 
 
 def labelled(label):
-    """Expression of the input with a label: the first in what is around both."""
+    """Expression for the input with a label: the first one in their common parent."""
     text = f"[...document.querySelectorAll('label')].find(e => e.innerText.trim() === {label!r})"
     return f"(e => {{ let i; while (!(i = e.querySelector('input'))) e = e.parentElement; return i; }})({text})"
 
 
 def button(text):
-    """Expression of the button with a text."""
+    """Expression for the button with a text."""
     return f"[...document.querySelectorAll('button')].find(e => e.innerText.trim() === {text!r})"
 
 
 def check_harmless(page, url):
-    """Checks that nothing went wrong, and nobody else was asked for anything."""
+    """Checks that there were no errors and no external requests."""
     assert page.errors == []
     assert page.requests
     assert {address.split("://")[1].split("/")[0] for address in page.requests} == {url.split("://")[1]}
@@ -82,7 +82,7 @@ def test_view_page_replays_a_run(run, open_page):
         first = picture(page)
         assert np.ptp(first) > 0.3, "nothing is drawn"
 
-        # The time, by its slider.
+        # Time slider.
         slider = "document.querySelector('[role=slider]')"
         start = page.place(slider)
         left, width = page.evaluate(f"(r => [r.x, r.width])({slider}.parentElement.getBoundingClientRect())")
@@ -92,7 +92,7 @@ def test_view_page_replays_a_run(run, open_page):
         assert float(page.evaluate(f"{slider}.ariaValueNow")) == pytest.approx(show.time_input.value, abs=1e-6)
         assert np.abs(picture(page) - first).max() > 0.3, "what moved is drawn where it was"
 
-        # The environment, by a button; the camera goes where its ball is.
+        # The button for the environment; the camera follows its ball.
         (client,) = show.server.get_clients().values()
         place, look_at = client.camera.position, client.camera.look_at
         page.click(button("Next"))
@@ -105,7 +105,7 @@ def test_view_page_replays_a_run(run, open_page):
         mass = float(wc.open_run(run).params["ball.mass"].sel(env=1))
         page.wait_for(f"document.body.innerText.includes('{mass:.6g} kg')")
 
-        # Play, and pause.
+        # Play and pause.
         page.click(button("First"))
         poll_until(lambda: show.record == 0)
         show.speed = 0.01
@@ -129,7 +129,7 @@ def test_view_page_draws_arrows_and_colors(open_page):
         poll_until(lambda: not show.stage.forces)
         bare = picture(page)
         gone = np.abs(arrow - bare).max(axis=2) > 0.1
-        # An arrow upwards, out of the ball in the middle of the picture: higher than wide.
+        # An upward arrow from the ball at the center of the picture: higher than wide.
         rows, columns = np.nonzero(gone)
         assert np.ptp(rows) > 2 * np.ptp(columns) > 0
         red, green, blue = np.median(arrow[gone], axis=0)
@@ -138,11 +138,11 @@ def test_view_page_draws_arrows_and_colors(open_page):
         poll_until(lambda: show.stage.gaps)
         colored = picture(page)
         ball = np.abs(colored - bare).max(axis=2) > 0.1
-        # It touches: from blue to pale red.
+        # In contact: the color changes from blue to pale red.
         before, after = np.median(bare[ball], axis=0), np.median(colored[ball], axis=0)
         assert before[2] > before[0]
         assert after[0] > after[2]
-        page.wait_for("document.body.innerText.includes('−0.00')")  # the legend
+        page.wait_for("document.body.innerText.includes('−0.00')")  # legend
         check_harmless(page, show.server.url)
 
 
@@ -158,7 +158,7 @@ def test_view_page_changes_a_parameter_of_a_running_simulation(tmp_path, open_pa
         poll_until(lambda: show.picker.env == 1)
 
         def enter(text, answer):
-            # A field that the page has just made anew may lose what is typed: a user types again.
+            # A field that was just recreated may lose typed text, so it is typed again.
             for _ in range(5):
                 page.click(labelled("ball.mass"))
                 page.evaluate(f"{labelled('ball.mass')}.select()")
@@ -177,7 +177,7 @@ def test_view_page_changes_a_parameter_of_a_running_simulation(tmp_path, open_pa
         assert "must be numbers" not in page.text()
         before = show.simulation.time
         poll_until(lambda: show.simulation.time > before)
-        # The energy that the page tells is that of the new mass.
+        # The displayed energy is that of the new mass.
         page.click(button("Pause"))
         poll_until(lambda: not show.playing)
         wait_for_thread(show)

@@ -1,4 +1,4 @@
-"""What pages of the live view are made of: colours, text that is only text, values of parameters as text."""
+"""Parts of pages of the live view: colors, escaped text, parameter values as text."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_gap_colors_are_red_in_overlap_pale_in_contact_blue_apart_and_gray_if_un
     assert touching.min() > 0.95
     assert away[2] > 0.65 > 0.15 > away[0]
     assert len(set(unknown.tolist())) == 1
-    # Between them there is no jump: a step of a thousandth of the way is not seen.
+    # Colors are continuous: a step of 1/1000 of the range is invisible.
     along = gap_colors(np.linspace(-0.1, 1.0, 20_000), 0.02, 0.5)
     assert np.abs(np.diff(along, axis=0)).max() <= 2 / 255
 
@@ -69,13 +69,13 @@ def test_long_text_is_truncated():
 
 def test_only_connections_of_the_page_itself_are_accepted():
     assert is_own("127.0.0.1:8080", "http://127.0.0.1:8080")
-    assert is_own("localhost:9000", "http://localhost:9000")  # through a tunnel of the user's
-    assert is_own("127.0.0.1:8080", None)  # no browser
+    assert is_own("localhost:9000", "http://localhost:9000")  # through a tunnel of the user
+    assert is_own("127.0.0.1:8080", None)  # not a browser
     assert not is_own("127.0.0.1:8080", "http://example.org")
     assert not is_own("127.0.0.1:8080", "https://127.0.0.1:8080.example.org")
     assert not is_own("127.0.0.1:8080", "http://127.0.0.1:9090")
     assert not is_own("127.0.0.1:8080", "null")
-    # A name of somebody else's that was made to lead to this machine.
+    # A foreign domain name that resolves to this machine.
     assert not is_own("example.org:8080", "http://example.org:8080")
     assert not is_own(None, None)
 
@@ -105,7 +105,8 @@ def test_parameter_text_sets_one_environment_only():
 
 
 def test_inertia_text_is_a_diagonal_or_a_full_tensor():
-    model = ball_on_ground().model  # three environments: the shape of one tensor is that of a diagonal of each
+    # three environments: the shape of one tensor equals that of a diagonal per environment
+    model = ball_on_ground().model
     inertia = ParameterText(model, "ball.inertia")
     inertia.write(0, "1e-3 2e-3 2.5e-3")
     np.testing.assert_array_equal(model["ball.inertia"][0], np.diag([1e-3, 2e-3, 2.5e-3]))

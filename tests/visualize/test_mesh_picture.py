@@ -1,4 +1,4 @@
-"""Pictures of meshes: who hides whom, what is marked, and what the command says."""
+"""Pictures of meshes: visibility, markers, and output of the command."""
 
 import re
 
@@ -18,7 +18,7 @@ PNG = b"\x89PNG"
 
 
 def brute_force(corners, size):
-    """The same as ``paint``, triangle by triangle: barycentric coordinates of all pixels."""
+    """Reference for ``paint``, triangle by triangle: barycentric coordinates of all pixels."""
     rows, columns = size
     y, x = np.mgrid[:rows, :columns] + 0.5
     depth, seen = np.full(size, np.inf), np.full(size, -1)
@@ -35,7 +35,7 @@ def brute_force(corners, size):
 @pytest.mark.parametrize("seed", range(4))
 def test_rendered_triangles_hide_each_other_as_brute_force(seed):
     rng = np.random.default_rng(seed)
-    # Some of them reach out of the picture on all sides.
+    # Some of them extend beyond the picture on all sides.
     corners = rng.uniform((-20, -20, 0), (90, 70, 50), (60, 3, 3))
     seen, depth = paint(corners, (50, 70))
     expected, distance = brute_force(corners, (50, 70))
@@ -51,7 +51,7 @@ def test_adjacent_faces_cover_each_pixel_once():
     flat = mesh.vertices[:, :2] @ turn * 200 + 150
     corners = np.dstack([flat[mesh.faces], np.zeros(mesh.faces.shape)])
     seen, _ = paint(corners, (300, 300))
-    # Whatever lies inside of the square is covered, whatever lies outside is not.
+    # Pixels inside of the square are covered, pixels outside are not.
     y, x = np.mgrid[:300, :300] + 0.5
     inside = np.abs(np.stack([x - 150, y - 150], axis=-1) @ turn.T).max(axis=-1)
     assert (seen[inside < 100 - 1e-9] >= 0).all()
@@ -65,7 +65,7 @@ def test_last_of_coincident_faces_is_visible():
 
 def test_lines_are_split_where_the_surface_hides_them():
     wall = np.array([[[-1, 0, -1], [1, 0, -1], [1, 0, 1]], [[-1, 0, -1], [1, 0, 1], [-1, 0, 1]]], dtype=float)
-    line = np.array([[-2.0, 1.0, 0.1], [2.0, 1.0, 0.1]])  # behind the wall, and out on both sides of it
+    line = np.array([[-2.0, 1.0, 0.1], [2.0, 1.0, 0.1]])  # behind the wall, and beyond it on both sides
     points = np.concatenate([wall.reshape(-1, 3), line])
     view = View.towards(np.array([0.0, -1.0, 0.0]), points, (400, 400))
     _, depth = paint(view.project(wall), view.size)
@@ -100,7 +100,7 @@ def check_counts(defects, report):
     assert edges(defects.non_manifold) == report.non_manifold_edge_count
     assert edges(defects.inconsistent) == report.inconsistent_edge_count
     assert defects.degenerate.sum() == report.degenerate_face_count
-    # Of duplicates the picture shows the copies and the original.
+    # For duplicates the picture shows the copies and the original.
     assert (defects.duplicate.sum() > 0) == (report.duplicate_face_count > 0)
     assert defects.inward.any() == (report.inward_component_count > 0)
     assert len(defects.pinched) == report.non_manifold_vertex_count
@@ -110,7 +110,7 @@ def check_counts(defects, report):
 
 
 def broken():
-    """A box with a hole and a doubled face, beside a ball that is inside out; a sliver, and faces to nowhere."""
+    """A box with a hole and a duplicated face, next to an inverted ball; a sliver, and invalid faces."""
     ball, box = wc.meshes.icosphere(0.5, 2).flipped(), wc.meshes.box((1, 1, 1))
     start = len(box.vertices) + len(ball.vertices)
     loose = [[0, 0, 0.9], [0.2, 0, 0.9], [0.1, 0, 0.9 + 1e-9], [np.nan, 0, 0]]
@@ -155,7 +155,7 @@ def test_all_defect_kinds_are_marked_and_in_the_legend(tmp_path):
 
 
 def test_intersections_pinched_vertices_and_cracks_are_marked(tmp_path):
-    """Two boxes through each other, two more that touch in a corner, and a seam that is all but closed."""
+    """Two intersecting boxes, two more that share a vertex, and a seam that is almost closed."""
     boxes = [(0.0, 0.0, 0.0), (0.5, 0.4, 0.3), (4.0, 0.0, 0.0), (5.0, 1.0, 1.0)]
     box = wc.meshes.box((1, 1, 1))
     vertices = np.concatenate([box.vertices + place for place in boxes])
@@ -189,11 +189,11 @@ def test_mesh_picture_shows_outer_inner_and_inactive_faces(tmp_path):
     def colour(part):
         return image[middle, int(part * image.shape[1])]
 
-    # Left view, from above: blue where active, which is the side of +x, and grey where not.
+    # Left view, from above: blue on the active side, +x, and gray on the other.
     grey, blue = colour(0.17), colour(0.33)
     assert np.ptp(grey) < 0.02
     assert blue[2] > blue[0] + 0.15
-    # Right view, from below: orange where active. Its x runs to the left.
+    # Right view, from below: orange where active. Its x axis points to the left.
     sides = colour(0.67), colour(0.83)
     assert max(side[0] - side[2] for side in sides) > 0.3
 
@@ -300,7 +300,7 @@ def test_inspect_command_reports_and_draws_active_faces(tmp_path, capsys):
         idle = 4 - int(legend[0])
         assert f"not active: {idle} face{'' if idle == 1 else 's'}" in drawn
         assert "outer side, active" in drawn
-    # The same in Python, and by any other choice of faces.
+    # Same result in Python, and with any other selection of faces.
     for choice in ("back", [2, 3], [False, False, True, True], lambda c: c[:, 1] == 0.0):
         report = plot_file(path, picture, unit="mm", active_faces=choice)
         assert report == examine_file(path, unit="mm", active_faces=choice)
@@ -338,7 +338,7 @@ def test_invalid_active_faces_are_reported_with_the_option(tmp_path, capsys):
             main(["inspect", str(path), *choice])
         assert caught.value.code == 2
     capsys.readouterr()
-    # Of a file that nobody can read this is what counts.
+    # For an unreadable file, only that error is reported.
     (tmp_path / "empty.stl").write_bytes(b"solid nothing")
     assert main(["inspect", str(tmp_path / "empty.stl"), "--active", "top"]) == 1
     assert "--active" not in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What the picture of a run without series shows."""
+"""Picture of a run without series."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ ENVS = 50
 
 @pytest.fixture
 def outcome():
-    """One number, a vector, a number of times, one that many have none of, and what every run has."""
+    """A scalar, a vector, a count, an outcome that is NaN in many environments, and the standard entries."""
     rng = np.random.default_rng(0)
     status = np.full(ENVS, EnvironmentStatus.ACTIVE)
     status[:3] = EnvironmentStatus.FROZEN
@@ -34,7 +34,7 @@ def outcome():
 
 @pytest.fixture
 def drawn(monkeypatch, tmp_path):
-    """Draws outcomes and returns the figure."""
+    """Draws outcomes; returns the figure."""
 
     def draw(outcome):
         figures = []
@@ -63,7 +63,7 @@ def test_scalar_outcomes_are_plotted_and_frozen_environments_counted(outcome, dr
     peak, hits, late = figure.axes
     assert peak.get_xlabel() == "largest force [N]"
     assert sum(counted(peak)) == ENVS - 3
-    # A bar for each whole number: of 0 to 3 in turn, without the first three.
+    # One bar per integer: 0 to 3 in turn, without the first three.
     assert counted(hits) == [12, 12, 11, 12]
     assert sum(counted(late)) == 40
     assert [text.get_text() for text in late.texts] == ["7 without a finite value"]

@@ -1,4 +1,4 @@
-"""What rays bring back, against closed forms."""
+"""Ray casting against closed forms."""
 
 import math
 import tracemalloc
@@ -51,7 +51,7 @@ def trace_all(
 
 
 def inside(kind, p):
-    """Whether points are inside of a unit form, by its definition."""
+    """Whether points are inside of a unit shape, by its definition."""
     radius = np.hypot(p[..., 0], p[..., 1])
     between = (p[..., 2] >= 0.0) & (p[..., 2] <= 1.0)
     if kind == SPHERE:
@@ -77,7 +77,7 @@ def test_ray_intersections_match_shapes(kind, device):
     first = np.where(within.any(axis=1), steps[within.argmax(axis=1)], np.inf)
     intersects = t > 0.0
     assert intersects.sum() > 500
-    # A ray that grazes may pass between two steps, or be lost to rounding.
+    # A grazing ray may pass between two steps, or be lost to rounding.
     step = steps[1]
     assert (np.abs(t - first)[intersects & np.isfinite(first)] <= 1.01 * step).all()
     assert (intersects == np.isfinite(first)).mean() > 0.99
@@ -96,9 +96,9 @@ def test_rendered_sphere_covers_its_projected_disk(device):
         device=device,
     )
     mask = covered(picture)
-    # The rays that touch it make the angle asin(r/d) with the axis.
+    # Tangent rays make the angle asin(r/d) with the axis.
     disc = 0.5 * side * math.tan(math.asin(radius / distance)) / math.tan(math.radians(0.5 * angle))
-    # Pixels on the edge are right to half of one, and these errors cancel.
+    # Pixels on the edge have an error of half a pixel, and these errors cancel.
     assert mask.sum() == pytest.approx(math.pi * disc**2, rel=3e-3)
     rows, columns = np.nonzero(mask)
     assert (columns + 0.5).mean() == pytest.approx(0.5 * side, abs=0.1)
@@ -113,7 +113,7 @@ def test_rendered_mesh_covers_the_shape_it_approximates(device):
         covered(paint([figure(shape, BLUE, [[0.1, 0.2, -0.1]], (0.4, 0.9, 1.2), turn)], eye, device=device))
         for shape in (ball(), Shape(mesh.vertices, mesh.faces))
     ]
-    # The mesh is within the ellipsoid, by less than a pixel.
+    # The mesh is inside the ellipsoid, by less than a pixel.
     assert not (masks[1] & ~masks[0]).any()
     assert (masks[0] & ~masks[1]).sum() < 0.03 * masks[0].sum()
 
@@ -126,7 +126,7 @@ def test_shadow_of_a_sphere_is_opposite_to_the_sun(device):
     picture = paint([plate, sphere], eye, (side, side), samples=16, device=device)
     brightness = linear(picture / 255.0).sum(axis=-1)
     rows, columns = np.mgrid[:side, :side]
-    # The sphere itself, which is in the middle.
+    # The sphere itself is at the center.
     itself = np.hypot(rows - 0.5 * side, columns - 0.5 * side) < 1.3 * radius / (2.0 * eye.reach / side)
     brightness[itself] = lit = np.median(brightness)
     dark = brightness < 0.5 * (lit + brightness.min())
@@ -137,11 +137,11 @@ def test_shadow_of_a_sphere_is_opposite_to_the_sun(device):
     place = 2.0 * eye.reach / side * np.stack([columns + 0.5 - 0.5 * side, 0.5 * side - rows - 0.5], axis=-1)
     centre = place.mean(axis=0) @ np.stack([right, up])
     expected = -height / sun[2] * sun[:2]
-    # Half shadow and pixels are symmetric about it. To half a pixel: perspective moves it by
-    # height / distance, and rays begin a little above the plate.
+    # The penumbra and the pixels are symmetric about it. Half a pixel, because perspective shifts it by height /
+    # distance, and rays begin slightly above the plate.
     np.testing.assert_allclose(centre[:2], expected, atol=eye.reach / side)
     area = dark.sum() * (2.0 * eye.reach / side) ** 2
-    # An ellipse as long as 1 / sin(elevation), bounded about where half of the sun is seen.
+    # An ellipse of length 1 / sin(elevation); the boundary is where half of the sun is visible.
     assert area == pytest.approx(math.pi * radius**2 / sun[2], rel=0.1)
 
 
@@ -164,13 +164,13 @@ def test_color_of_a_plate_is_the_sum_of_its_lights(below, device):
     around = np.array(light.ground_color if below else light.sky_color)
     facing = 0.0 if below else float(light.sun[2])
     received = around + facing * np.array(light.sun_color) + light.lamp
-    # At the middle of the picture the lamp shines at a right angle.
+    # At the center of the picture the lamp has perpendicular incidence.
     expected = linear(color) * received
-    if not below:  # what is mirrored to the eye: of the middle between sun and eye
+    if not below:  # specular reflection, along the bisector of sun and eye
         halfway = math.cos(0.5 * math.acos(light.sun[2]))
         expected += light.gloss * halfway**40 * np.array(light.sun_color)
     expected = np.where(expected <= 0.0031308, 12.92 * expected, 1.055 * expected ** (1 / 2.4) - 0.055)
-    # The sun is a disc: its mean differs by the square of its radius. One more for rounding.
+    # The sun is a disk: its mean differs by the square of its radius. One more for rounding.
     np.testing.assert_allclose(picture[64, 64], 255.0 * expected, atol=2.0)
 
 
@@ -195,13 +195,13 @@ def test_meshes_with_normals_are_shaded_smoothly(device):
     inner = covered(pictures[2])
     inner &= np.roll(inner, 3, 0) & np.roll(inner, -3, 0) & np.roll(inner, 3, 1) & np.roll(inner, -3, 1)
     errors = [np.abs(picture - pictures[0])[inner].mean() for picture in pictures[1:]]
-    # Normals between corners are right to the square of the angle of an edge; faces have but one.
+    # Interpolated normals are accurate to the square of the edge angle; each face has a single normal.
     assert errors[0] < 0.5
     assert errors[1] > 4.0 * errors[0]
 
 
 def test_convex_body_has_no_shadow_on_its_lit_side(device):
-    # Were rays to the sun to begin below the surface, or on the faces of smooth meshes, spots would be dark.
+    # If shadow rays began below the surface, or on the flat faces of smooth meshes, there would be dark spots.
     mesh = icosphere(1.0, 2)
     for shape in (ball(), Shape(mesh.vertices, mesh.faces, normals=mesh.vertices)):
         eye = camera(0, 30, distance=8.0)
@@ -212,7 +212,7 @@ def test_convex_body_has_no_shadow_on_its_lit_side(device):
             both = mask & np.roll(mask, shift, axis)
             both &= np.roll(both, 2, axis) & np.roll(both, -2, axis)
             step = np.abs(brightness - np.roll(brightness, shift, axis))[both]
-            # From light to shadow the brightness falls over many pixels; a spot would be a step of over a hundred.
+            # From light to shadow the brightness decreases over many pixels; a spot would be a step of over 100.
             assert step.max() < 60
 
 
@@ -301,7 +301,7 @@ def test_rendered_pictures_are_invariant_to_scale_and_position(factor, shift, de
         device=device,
         has_grid=moved[:1],
     ).astype(int)
-    # Rays that graze an edge may see the other side of it.
+    # Rays that graze an edge may hit its other side.
     assert (np.abs(first - other).max(axis=-1) > 2).mean() < 0.005
 
 
@@ -317,7 +317,7 @@ def test_grid_lines_are_round_numbers_of_meters_apart(device):
     y = 3.0 + 2.0 * eye.reach * ((np.arange(side) + 0.5) / side - 0.5)
     lines = y[row < row.max() - 12]
     assert len(lines) > 5
-    # Half of the view is 5.2 m high: lines are 1 m apart.
+    # Half of the view is 5.2 m high: grid lines are 1 m apart.
     np.testing.assert_allclose(lines, np.round(lines), atol=2.5 * eye.reach / side)
 
 
@@ -365,5 +365,5 @@ def test_memory_for_rendering_100000_spheres_is_bounded(device):
     finally:
         tracemalloc.stop()
     assert covered(picture).mean() > 0.3
-    # Some 30 numbers of 8 bytes for each at once: 24 MB, and copies of them.
+    # About 30 numbers of 8 bytes per ray: 24 MB, and copies of them.
     assert peak < 150e6

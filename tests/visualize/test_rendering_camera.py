@@ -1,4 +1,4 @@
-"""Where pictures are taken from, what is drawn into them, and how panels share one."""
+"""Camera positions, overlays in pictures, and arrangement of panels."""
 
 import math
 
@@ -37,7 +37,7 @@ def test_camera_distance_is_the_smallest_with_all_spheres_in_view(aspect):
             for sign in (-1.0, 1.0):
                 most.append(((sign * (seen @ axis) - slope * depth) / math.hypot(1.0, slope) + radii).max())
         assert max(most) == pytest.approx(0.0, abs=1e-9)
-        # In one direction they touch both sides: the eye is nowhere nearer.
+        # In one direction the spheres are tangent to both planes, so the eye cannot be nearer.
         assert sorted(most)[-2] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -61,11 +61,11 @@ def test_view_includes_moving_objects_and_their_surroundings():
     centres, _ = bounding_spheres(drawing([]), [(ball, True), (wall, False), (ground, False)])
     assert len(centres) == 2 + 8
     assert centres[:, 0].max() == pytest.approx(1.3)
-    # What fell off the ground long ago would make all else tiny.
+    # A body that fell off the ground long ago would make the rest tiny.
     lost = place_figure(balls(RED, [[0.0, 0.0, 1.0], [0.0, 0.0, -900.0]], 0.5), 0, 0)
     centres, _ = bounding_spheres(drawing([]), [(lost, True), (ground, False)])
     np.testing.assert_array_equal(centres, [[0.0, 0.0, 1.0]])
-    # Where nothing moves, all of it; where there is nothing, something.
+    # If nothing moves, the whole ground; if there is nothing, a default.
     assert len(bounding_spheres(drawing([]), [(ground, False)])[0]) == 8
     assert len(bounding_spheres(drawing([]), [])[0]) == 1
 
@@ -80,7 +80,7 @@ def test_arrow_lengths_are_proportional_to_forces():
     acting = [0, 1, 4]
     np.testing.assert_allclose(tips, (starts + 0.2 * forces)[acting], atol=1e-12)
     np.testing.assert_allclose(shafts.positions, starts[acting])
-    # The shortest is as slender as the others.
+    # The shortest arrow has the same aspect ratio.
     np.testing.assert_allclose(heads.scales[:, 2] / heads.scales[:, 0], heads.scales[0, 2] / heads.scales[0, 0])
     assert heads.scales[2, 0] < 1e-3 * heads.scales[0, 0]
 
@@ -90,7 +90,7 @@ def test_curves_are_drawn_as_tubes_and_broken_ones_skipped():
     curve = Curve("rope", RED, points[None, None], np.ones((1, 1), dtype=bool))
     joints, tubes = curve_tube(curve, 0, 0, 0.2)
     assert len(joints.positions) == 4
-    assert len(tubes.positions) == 2  # of two points in one place there is nothing between
+    assert len(tubes.positions) == 2  # no curve between coincident points
     np.testing.assert_allclose(tubes.scales, [[0.1, 0.1, 1.0]] * 2)
     broken = Curve("rope", RED, points[None, None], np.zeros((1, 1), dtype=bool))
     assert curve_tube(broken, 0, 0, 0.2) == []
@@ -113,7 +113,7 @@ def test_arrows_are_visible_through_objects(device):
     assert changed.sum() > 5
     redder = pictures[0][changed][:, 0] - pictures[1][changed][:, 0]
     assert (redder > 20).mean() > 0.7
-    assert (pictures[0][changed][:, 2] > 40).mean() > 0.7  # the body is still seen
+    assert (pictures[0][changed][:, 2] > 40).mean() > 0.7  # the body is still visible
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 16])
@@ -137,7 +137,7 @@ def test_too_many_panels_are_refused():
 def test_colors_range_from_the_lowest_to_the_highest_value():
     coloring = Coloring.of("mass", np.array([3.0, np.nan, 1.0, 2.0]))
     np.testing.assert_allclose(coloring.colors[[2, 3, 0]], Scale(0.0, 1.0).colors(np.array([0.0, 0.5, 1.0])))
-    np.testing.assert_allclose(coloring.colors[1], 0.5)  # grey where there is none
+    np.testing.assert_allclose(coloring.colors[1], 0.5)  # gray if there is none
     same = Coloring.of("mass", np.array([2.0, 2.0]))
     assert (same.colors[0] == same.colors[1]).all()
 
@@ -174,7 +174,7 @@ def test_labels_do_not_cover_the_scene(width):
     sheet.write_scale(picture, "touch.law.restitution", Scale(0.1, 0.9))
     changed = (picture != 200).any(axis=-1)
     texts, scale = changed[:, : width // 2], changed[:, width // 2 :]
-    assert (texts.any() and scale.any()) == (width > 100)  # letters of fewer pixels cannot be read
+    assert (texts.any() and scale.any()) == (width > 100)  # smaller letters are illegible
     assert not texts[:, int(0.5 * width) :].any()
     assert not scale[height // 2 :].any()
 
@@ -233,13 +233,13 @@ def test_infinite_plane_fades_into_the_background(device):
     column = picture[:, 16].astype(int).mean(axis=-1)
     horizon = int(np.argmax(column < 255))
     assert 0 < horizon < 256
-    assert column[horizon] > 240  # no edge
+    assert column[horizon] > 240  # no visible edge
     assert column[-1] < 150
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3])
 def test_infinite_plane_has_no_edges_in_wide_views(turn, device):
-    # Drawn as a square of two metres, in a view that is wider, from low above.
+    # A square of 2 m in a wider view, from slightly above.
     ground = figure(
         PLATE, (0.2, 0.2, 0.2), [3.0, 1.0, 0.0], kind="plane", turns=(0.0, 0.0, turn, math.cos(math.asin(turn)))
     )
@@ -249,7 +249,7 @@ def test_infinite_plane_has_no_edges_in_wide_views(turn, device):
     horizon = int(np.argmax((picture < 255).all(axis=1)))
     assert 0 < horizon < 48
     assert (picture[horizon + 10 :] < 200).all()
-    # To the fading and the mirrored sun: no row has a corner.
+    # Up to fading and the specular reflection: no row has a kink.
     assert np.abs(np.diff(picture, axis=1)).max() < 20
 
 
@@ -259,20 +259,20 @@ def test_infinite_plane_extends_below_all_moving_objects():
     track[:, 0], track[:, 2] = np.linspace(0.0, 100.0, 200), 0.1
     ball = place_figure(balls(RED, track, 0.1), 0, 0)
     centres, _ = bounding_spheres(drawing([]), [(ball, True), (ground, False)])
-    # The whole track, though the square that is drawn is small, and no corner of that.
+    # The track has all positions. The drawn square is small, and none of its vertices counts.
     np.testing.assert_array_equal(centres, track)
 
 
 @pytest.mark.parametrize("kind", ["surface", "plane"])
 def test_ground_far_below_moving_objects_is_visible(kind, device):
-    # As low as a ball is seen after a short drop: rays meet it ten halves of the view away.
+    # As low as after a short drop of a ball: rays hit it at ten times half the view.
     ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, -5.0], 1000.0, kind=kind)
     bottom = nearby(ground, device, size=(32, 32))[-1].astype(int)
     assert bottom.max() < 150
 
 
 def test_mesh_does_not_fade(device):
-    # A hill at the far end of large ground, sixty halves of the view away.
+    # A hill at the far end of large ground, at sixty times half the view.
     hill = figure(PLATE, (0.2, 0.2, 0.2), [-80.0, 0.0, 0.0], 4.0, turns=(0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)))
     assert nearby(hill, device, size=(64, 64), view_from=(0.0, 0.0))[32, 32].max() < 150
 

@@ -1,4 +1,4 @@
-"""The place of the eye is one from which what moves is not hidden by what stands still."""
+"""The camera position is selected such that static objects do not hide moving ones."""
 
 import math
 from dataclasses import replace
@@ -27,7 +27,7 @@ def bowl(depth=1.0, **where):
 
 
 def moving(*places, radius=0.1):
-    """A ball with a place in each record."""
+    """A ball with one position per record."""
     ball = balls(BLUE, places[0], radius)
     return replace(ball, positions=np.array(places, dtype=float)[:, None, None])
 
@@ -49,7 +49,7 @@ def test_camera_sees_a_ball_in_a_bowl_from_above(device):
     chosen = show(figures, device)
     assert blue(chosen.picture(1)) > 20
     assert chosen.camera.backward[2] > math.sin(math.radians(40.0))
-    # From where pictures are taken otherwise, and from where a user wants it, the bowl hides it.
+    # From the default direction and from the requested one, the bowl hides the ball.
     requested = show(figures, device, view_from=(-60.0, 22.0))
     np.testing.assert_allclose(requested.camera.backward, FRONT)
     assert blue(requested.picture(1)) == 0
@@ -83,7 +83,7 @@ def test_camera_has_default_direction_if_nothing_is_hidden_or_nothing_helps(devi
     ball = moving((0.0, 0.0, 0.2), (0.1, 0.0, 0.2))
     floor = figure(PLATE, GREY, [0.0, 0.0, 0.1], 8.0)
     lid = figure(PLATE, GREY, [0.0, 0.0, 0.4], 8.0)
-    lost = moving((0.0, 0.0, 0.2), (0.1, 0.0, -900.0))  # out of the picture, where it is behind the floor
+    lost = moving((0.0, 0.0, 0.2), (0.1, 0.0, -900.0))  # outside of the picture; there it is behind the floor
     for figures in ([ball], [floor, ball], [floor, lid, ball], [floor], [floor, ball, lost], []):
         np.testing.assert_allclose(show(figures, device).camera.backward, FRONT)
 
@@ -95,7 +95,7 @@ def test_camera_ignores_a_ball_hidden_in_few_records(device):
 
 
 def test_camera_of_each_panel_uses_the_ground_of_its_environment(device):
-    """A bowl as deep as that of the second environment hides the ball there, not in the first."""
+    """The bowl of the second environment is so deep that it hides the ball there, but not in the first."""
     ground, ball = bowl(), moving((0.0, 0.0, 0.15), (0.1, 0.0, 0.15))
     two = [np.repeat(values, 2, axis=1) for values in (ball.positions, ball.orientations)]
     ball = replace(

@@ -1,4 +1,4 @@
-"""The report of a run: one file that holds all, loads nothing, and stays harmless whatever a run is called."""
+"""Report of a run: one self-contained file without requests, safe for any text in the run."""
 
 import functools
 import hashlib
@@ -71,7 +71,7 @@ def ids(page):
     return {attributes["id"] for _, attributes in page.elements if "id" in attributes}
 
 
-# What is in it
+# Content
 
 
 @pytest.mark.smoke
@@ -112,7 +112,7 @@ def test_report_table_has_parameters_and_outcomes_of_all_environments(crate, tex
     )
     status = columns["status"]
     assert [status["words"][str(code)] for code in status["values"]] == ["ACTIVE"] * 4 + ["FROZEN", "ACTIVE"]
-    assert "crate.mass" not in columns  # the same everywhere
+    assert "crate.mass" not in columns  # equal in all environments
 
 
 def test_report_bands_are_quantiles_of_recorded_sensors(text):
@@ -282,7 +282,7 @@ def test_parameter_of_a_set_is_one_column_of_tables(crate, tmp_path):
     assert columns == [f"feet.friction.mu.{point}" for point in range(8)]
 
 
-# Whatever a run holds
+# Untrusted texts
 
 
 @pytest.mark.parametrize("hostile", HOSTILE, ids=lambda text: ascii(text[:12]))
@@ -306,7 +306,7 @@ def test_malicious_texts_in_report_are_shown_and_inert(hostile, copied, tmp_path
     page = report_runs.check_harmless(text)
     shown = hostile if len(hostile) <= 60 else hostile[:59] + "…"
     assert shown in page.text
-    # Nothing of 10 000 letters is repeated wherever a name is shown.
+    # A name of 10 000 characters is not repeated at every occurrence.
     assert len(text) < 1_600_000
 
 
@@ -398,7 +398,7 @@ def test_report_refuses_changed_results(copied, tmp_path):
     assert not (tmp_path / "x.html").exists()
 
 
-# The files of the page
+# Files of the page
 
 
 @pytest.mark.skipif(not (WEB / "package.json").is_file(), reason="the sources of the script are in a checkout")

@@ -1,4 +1,4 @@
-"""The report in a browser, from its file: it shows what was recorded, complains of nothing and loads nothing."""
+"""The report in a browser: it shows the recorded values, without errors and requests."""
 
 import contextlib
 
@@ -32,7 +32,7 @@ def pages(tmp_path_factory):
 
 @pytest.fixture
 def opened(pages):
-    """Opens a file; afterwards it must have complained of nothing and asked for nothing but itself."""
+    """Opens a file; afterwards checks that there were no errors and no other requests."""
 
     @contextlib.contextmanager
     def open_file(path, *words, **options):
@@ -48,7 +48,7 @@ def opened(pages):
 
 
 def state(page):
-    """What the replay shows, once it is drawn."""
+    """State of the replay, after it was drawn."""
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     return page.evaluate("window.warpcontact.state()")
 
@@ -73,7 +73,7 @@ def places(seen, name):
 
 
 def expected(run, env, time):
-    """Where the crate is, from what was recorded, between records on a straight line."""
+    """Recorded position of the crate, interpolated linearly between records."""
     position = run.series["crate.position"].sel(env=env)
     return np.array([np.interp(time, position["time"], position.sel(axis=axis)) for axis in "xyz"])
 
@@ -89,7 +89,7 @@ def test_replayed_bodies_are_at_recorded_positions(size, dark, crate, file, open
                 seen = state(page)
                 assert seen["env"] == env
                 assert seen["time"] == pytest.approx(time, abs=1e-6)
-                # Steps of 16 bits of a way of less than a metre.
+                # Quantized to 16 bits of a range of less than 1 m.
                 np.testing.assert_allclose(places(seen, "hull")[0], expected(crate, env, time), atol=2e-5)
                 np.testing.assert_allclose(places(seen, "ground")[0], 0.0, atol=1e-12)
         assert seen["calls"] > 0
@@ -118,7 +118,7 @@ def test_replayed_force_arrows_are_visible_and_can_be_hidden(crate, file, opened
 @pytest.mark.smoke
 def test_replay_plays_to_the_end_and_stops(file, opened):
     with opened(file) as page:
-        # However slowly pages are drawn, it has not come to the end before it is asked.
+        # At this speed the replay cannot end before the next action, even if drawing is slow.
         page.evaluate("document.getElementById('replay-speed').value = '0.01'")
         page.click("document.getElementById('replay-play')")
         page.wait_for("window.warpcontact.state().time > 0")
@@ -160,7 +160,7 @@ def test_replay_keys_match_the_help(file, opened):
         assert not page.evaluate("document.querySelector('dialog').open")
         before = state(page)
         page.evaluate("document.getElementById('environments-filter').focus()")
-        assert after("ArrowRight")["record"] == before["record"]  # it moves in the field
+        assert after("ArrowRight")["record"] == before["record"]  # the cursor moves in the field
 
 
 def test_replay_camera_rotates_and_resets(file, opened):
@@ -177,7 +177,7 @@ def test_replay_canvas_follows_the_window_size(file, opened):
     with opened(file) as page:
         page.call("Emulation.setDeviceMetricsOverride", width=700, height=600, deviceScaleFactor=3, mobile=False)
         canvas = "document.getElementById('replay-canvas')"
-        # Two pixels for one, and no more.
+        # Two pixels per CSS pixel, and no more.
         page.wait_for(f"{canvas}.clientWidth < 700 && {canvas}.width === 2 * {canvas}.clientWidth")
         assert state(page)["canvas"] == page.evaluate(f"[{canvas}.clientWidth, {canvas}.clientHeight]")
 
@@ -317,5 +317,5 @@ def test_report_of_a_thousand_bodies_is_below_five_megabytes(tmp_path, opened):
         figure = next(figure for figure in seen["figures"] if figure["name"] == "grain")
         assert figure["count"] == 1000
         expected_positions = run.series["grains.position"].sel(env=0).isel(time=50).values[:4]
-        # Steps of 16 bits of a way of some 15 m.
+        # Quantized to 16 bits of a range of about 15 m.
         np.testing.assert_allclose(figure["places"], expected_positions, atol=3e-4)

@@ -1,4 +1,4 @@
-"""Parts of a report: what is packed comes out again, charts are right, texts are safe, and a million fit."""
+"""Parts of a report: packed arrays, charts, escaped texts, and a million environments."""
 
 import base64
 import dataclasses
@@ -35,7 +35,7 @@ from warpcontact.visualize.report.packing import Pack
 
 
 def unpacked(pack):
-    """What ``web/src/unpack.js`` makes of a pack."""
+    """Unpacks like ``web/src/unpack.js``."""
     content = pack.content()
     data = zlib.decompress(base64.b64decode(content["data"]))
     place, found = 0, []
@@ -93,9 +93,10 @@ def test_packed_rotations_round_trip():
     pack.rotations(turns)
     (found,) = unpacked(pack)
     length = np.linalg.norm(found, axis=-1, keepdims=True)
-    # cos(half the angle between them): each of four components is off by up to half a step of 2/65534.
+    # cos(half the angle between them): each of four components has an error of up to half a step of 2/65534.
     assert np.abs(np.sum(found / length * turns, axis=-1)).min() > 1.0 - 1e-8
-    assert (np.sum(found[1:] * found[:-1], axis=-1) > -1e-4).all()  # neighbours on one side, to be interpolated
+    # consecutive quaternions have equal sign, for interpolation
+    assert (np.sum(found[1:] * found[:-1], axis=-1) > -1e-4).all()
 
 
 def test_packed_indices_round_trip_and_equal_arrays_are_stored_once():
@@ -124,7 +125,7 @@ def test_large_meshes_are_simplified_in_place():
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
     fine = [vertices[faces[:, i]] for i in range(3)]
     expected = np.linalg.norm(np.cross(fine[1] - fine[0], fine[2] - fine[0]), axis=1).sum() / 2
-    assert area == pytest.approx(expected, rel=0.02)  # points move by up to a cell of some 300 along a side
+    assert area == pytest.approx(expected, rel=0.02)  # points move by up to one of about 300 cells along a side
     assert len(meshes.drawable_shape(ball(), 1).faces) > len(meshes.drawable_shape(ball(), 1000).faces)
 
 
@@ -186,13 +187,13 @@ def test_chart_axes_have_few_distinct_marks(low, high):
     places = [place for place, _ in marks]
     assert min(places) >= chart.LEFT - 0.1
     assert max(places) <= chart.WIDTH - chart.RIGHT + 0.1
-    assert len({text for _, text in marks}) == len(marks)  # each tells something else
+    assert len({text for _, text in marks}) == len(marks)  # all differ
 
 
 @pytest.mark.parametrize(
     ("low", "high", "precision", "scale"),
     [
-        (-3e-17, 2e-17, 2.2e-16, 5.0),  # of energies of 5 J
+        (-3e-17, 2e-17, 2.2e-16, 5.0),  # for energies of 5 J
         (2e-16, 2e-16, 2.2e-16, 1.0),
         (1.0, 1.0 + 4e-16, 2.2e-16, 1.0),
         (0.1, 0.1 + 1e-8, 1.2e-7, 0.1),
@@ -235,7 +236,7 @@ def test_texts_are_escaped_in_markup_and_data():
 
 
 def cells(content):
-    """The texts of the cells of tables, row by row."""
+    """Cell texts of tables, row by row."""
     return [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", content)]
 
 
@@ -370,7 +371,7 @@ def test_report_of_a_million_environments_has_a_capped_table(million):
     assert set(choice.envs) <= set(data["env"])
     assert "2\u202f000 of 1\u202f000\u202f000 environments" in content
     assert "warpcontact export" in content
-    # Some copies of one outcome of 8 MB, not of all there are for each environment.
+    # A few copies of one outcome of 8 MB, not of all outcomes.
     assert peak < 40 * 8 * 10**6
 
 

@@ -1,4 +1,4 @@
-"""The picture of a run: the ground, the numbers that color tracks and curves, and sensors over time."""
+"""Picture of a run: the ground, the values that color tracks and curves, and sensors over time."""
 
 import itertools
 import math
@@ -21,7 +21,7 @@ WINDOW = np.array([-2.0, -2.0]), np.array([2.0, 2.0])
 
 
 def terrain(tilt, amplitude=0.1):
-    """amplitude · sin · sin, with waves of a metre, turned about the y axis by an angle [degrees]."""
+    """amplitude · sin · sin, with a wavelength of 1 m, rotated about the y axis by an angle [degrees]."""
     mesh = wc.meshes.grid((4.0, 4.0), (64, 64))
     x, y, _ = mesh.vertices.T
     vertices = np.stack([x, y, amplitude * np.sin(2 * np.pi * x) * np.sin(2 * np.pi * y)], axis=1)
@@ -39,7 +39,7 @@ def drawn(ground, step=0.0):
 
 
 def greys_of(ground, middles):
-    """The greys that faces are drawn in, in their own order."""
+    """Gray values of faces, in their original order."""
     faces = drawn(ground).collections[0]
     lower_first = np.argsort(ground.corners[..., 2].mean(axis=1))
     greys = np.empty(len(middles))
@@ -51,13 +51,13 @@ def greys_of(ground, middles):
 def test_hill_shading_is_independent_of_ground_inclination(tilt):
     ground, middles = terrain(tilt)
     greys = greys_of(ground, middles)
-    # Over a wave, what is higher above the ground's own plane is lighter.
+    # Within a wave, points higher above the mean plane are lighter.
     assert np.corrcoef(greys, middles[:, 2])[0, 1] > 0.9
-    # Both families of ridges of sin · sin are seen alike: ½ cos of x − y, and of x + y.
+    # Both ridge families of sin · sin are equally visible: ½ cos of x − y, and of x + y.
     x, y = 2.0 * np.pi * middles[:, :2].T
     ridges = [abs(np.mean(greys * np.exp(1j * (x + sign * y)))) for sign in (-1, 1)]
     assert ridges[0] == pytest.approx(ridges[1], rel=0.05)
-    # Of the inclination as a whole nothing is left.
+    # The mean inclination has no effect.
     assert abs(np.corrcoef(greys, middles[:, 0])[0, 1]) < 0.05
 
 
@@ -70,7 +70,7 @@ def test_plane_ground_has_one_gray(tilt):
 def test_contours_are_at_labeled_heights():
     ground, _ = terrain(10.0, amplitude=0.0)
     step = contour_step([ground], *WINDOW)
-    assert step == pytest.approx(0.1)  # 0.69 m in at most eight
+    assert step == pytest.approx(0.1)  # 0.69 m in at most eight steps
     axes = drawn(ground, step)
     x = np.concatenate([[s[:, 0].mean() for s in lines.get_segments()] for lines in axes.collections[1:]])
     heights = -x * math.tan(math.radians(10.0))
@@ -88,7 +88,7 @@ def test_level_ground_has_no_contours():
     assert contour_step([ground], *WINDOW) == 0.0
     assert contour_step([], *WINDOW) == 0.0
     assert len(drawn(ground).collections) == 1
-    # Nor have the walls of a box, which are but lines from above.
+    # The walls of a box do not count either, because they are lines seen from above.
     box = wc.meshes.box((1.0, 1.0, 0.5))
     corners = box.vertices[box.faces]
     walls = GroundSurface(corners, np.ones(len(corners), dtype=bool), True)
@@ -120,7 +120,7 @@ def test_color_scale_has_ticks_at_its_ends(norm, whole, names):
 def test_height_labels_are_drawn_above_tracks():
     ground, _ = terrain(10.0, amplitude=0.0)
     heights = drawn(ground, 0.1).texts
-    # Dots of ends are at 3, tracks where Matplotlib has lines.
+    # End markers are at 3, tracks at the default of Matplotlib lines.
     assert heights
     assert all(height.get_zorder() > 3 for height in heights)
 
@@ -141,7 +141,7 @@ NONE = np.zeros(0, dtype=int)
 
 
 def recorded(*names, envs=3, records=50, **parameters):
-    """A recording of sensors that rise with time and environment; contacts a and b, spring s, body ball."""
+    """A recording of sensors that increase with time and environment; contacts a and b, spring s, body ball."""
     seconds = np.linspace(0.0, 1.0, records)
     values = seconds[:, None] + np.arange(envs)
     variables = {}

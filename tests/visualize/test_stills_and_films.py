@@ -52,11 +52,11 @@ def test_rendered_still_equals_returned_picture(run, tmp_path):
     assert picture.shape == (48, 64, 3)
     assert picture.dtype == np.uint8
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), picture)
-    # From the run and from its recording alike, whatever the file.
+    # Equal from the run and from its recording, in any file format.
     np.testing.assert_array_equal(wc.render(run.recording, env=2, time=0.1, **SMALL), picture)
     assert wc.render(run, tmp_path / "b.png", env=2, time=0.1, **SMALL) is not None
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    # The last record, of the first environment, unless others are named.
+    # Default: the last record of the first environment.
     np.testing.assert_array_equal(wc.render(run, **SMALL), wc.render(run, env=[0], time=0.2, **SMALL))
     assert (wc.render(run, time=0.0, **SMALL) != picture).any()
 
@@ -65,7 +65,7 @@ def test_stills_at_different_times_have_the_same_camera(run):
     style = {**SMALL, "samples": 4, "forces": False}
     early, late = (wc.render(run, time=time, **style).astype(int) for time in (0.0, 0.13))
     same = (early == late).all(axis=-1)
-    # But for the ball and its shadow.
+    # Except for the ball and its shadow.
     assert 0.3 < same.mean() < 0.999
 
 
@@ -86,7 +86,7 @@ def test_nearest_record_is_rendered(run):
 
 @pytest.fixture(scope="module")
 def part(run, tmp_path_factory):
-    """The run as it is when one of three shards is finished, one has eight records, and one has none."""
+    """The run when one of three shards is finished, one has eight records, and one has none."""
     folder = tmp_path_factory.mktemp("runs") / "part"
 
     def stopping(self, shard, record, staged):
@@ -112,7 +112,7 @@ def test_last_record_of_an_unfinished_run_is_rendered(run, part, tmp_path, capsy
     assert "environments 0, 1 at 0.07 s, the last frame of" in capsys.readouterr().out
     assert command(part, "-o", tmp_path / "c.gif", "--env", 1) == 0
     assert "0 to 0.04 s in 2 pictures, 0.08 s long, of a run that is not finished: " in capsys.readouterr().out
-    # What is finished is as it will be.
+    # Finished environments are shown as in the complete run.
     assert command(part, "-o", tmp_path / "d.png") == 0
     assert capsys.readouterr().out == f"environment 0 at 0.2 s: {tmp_path / 'd.png'}\n"
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "d.png")), wc.render(run, **SMALL))
@@ -137,7 +137,7 @@ def test_environment_without_records_is_reported(part, monkeypatch):
     )
     with pytest.raises(ValueError, match=f"^{re.escape(expected_error)}$"):
         wc.render(part, env=1, **SMALL)
-    # Unless they are named, those that have one are shown.
+    # By default, environments with records are shown.
     monkeypatch.setitem(part._commits, 0, replace(part._commits[0], frames=0))
     monkeypatch.setitem(part._commits, 1, replace(part._commits[1], frames=3))
     assert Source.of(part, None).envs == [1]
@@ -150,7 +150,7 @@ def test_unused_sensors_are_not_read_for_rendering(tmp_path):
     for name, is_drawn in (("ball.kinetic_energy", False), ("touch.point", True)):
         for path in (folder / "data.zarr/series" / name / "c").rglob("*"):
             if path.is_file():
-                path.write_bytes(path.read_bytes()[:-1] + b"x")  # its check sum is compared when it is read
+                path.write_bytes(path.read_bytes()[:-1] + b"x")  # the checksum is compared when it is read
         if is_drawn:
             with pytest.raises(wc.RunDataError):
                 wc.render(wc.open_run(folder), time=0.1, **SMALL)
@@ -182,7 +182,7 @@ def test_color_by_shows_the_value_of_each_environment(run):
 
 def test_gif_duration_equals_simulated_time_over_speed(run, tmp_path, capsys):
     assert command(run, "-o", tmp_path / "a.gif", "--fps", 30, "--speed", 0.2) == 0
-    # 0.2 s five times slower: 1 s, and 31 moments of it.
+    # 0.2 s five times slower: 1 s, with 31 pictures.
     assert "0 to 0.2 s in 31 pictures, 1.03 s long" in capsys.readouterr().out
     durations = []
     with Image.open(tmp_path / "a.gif") as image:
@@ -191,13 +191,13 @@ def test_gif_duration_equals_simulated_time_over_speed(run, tmp_path, capsys):
             durations.append(image.info["duration"])
         assert image.info["loop"] == 0
         assert image.size == (64, 48)
-    # Records 10 ms apart are shown for 50 ms: pictures that are the same become one that is shown for longer.
+    # Records 10 ms apart are shown for 50 ms: equal consecutive pictures are merged into one of longer duration.
     assert sum(durations) == 1030
     assert 5 < len(durations) <= 21
 
 
 def test_gif_frames_are_written_incrementally(tmp_path):
-    """What changes in a corner, nothing, and everything; of colours that the film has."""
+    """Changes in one corner, no change, and changes everywhere; in colors of the palette."""
     colors = np.random.default_rng(0).integers(0, 64, (100, 3), dtype=np.uint8) * 4
     numbers = np.random.default_rng(1).integers(0, 100, (40, 96, 128))
     numbers[1:4] = numbers[0]
@@ -211,7 +211,7 @@ def test_gif_frames_are_written_incrementally(tmp_path):
             yield picture
 
     writers.write_gif(tmp_path / "a.gif", pictures(), 40, 25.0, [expected[0]])
-    # But for the one at hand, and for what a file keeps back.
+    # Except for the current frame and the write buffer.
     assert sizes[-1] > 0.9 * (tmp_path / "a.gif").stat().st_size
     with Image.open(tmp_path / "a.gif") as image:
         assert (image.n_frames, image.info["loop"]) == (38, 0)
@@ -222,7 +222,7 @@ def test_gif_frames_are_written_incrementally(tmp_path):
             shown.append(np.asarray(image.convert("RGB")).astype(int))
     assert waits == [80, 80, *[40] * 36]
     distinct = expected[[0, 2, *range(4, 40)]]
-    assert np.abs(np.array(shown) - distinct).max() <= 8  # where the palette has a neighbour instead
+    assert np.abs(np.array(shown) - distinct).max() <= 8  # replaced by the nearest palette color
 
 
 @pytest.mark.parametrize(("count", "fps"), [(80, 0.1), (1, 1 / 800)])
@@ -247,7 +247,7 @@ def test_gif_frames_show_the_records(run, tmp_path):
         image.seek(image.n_frames - 1)
         last = np.asarray(image.convert("RGB")).astype(int)
     expected = wc.render(run, env=1, time=0.2, labels=False, **SMALL).astype(int)
-    # 255 colours for all of it.
+    # 255 colors for the whole film.
     assert np.abs(last - expected).mean() < 4.0
     again = tmp_path / "b.gif"
     wc.film(run, again, fps=25.0, speed=0.25, env=1, progress=False, labels=False, **SMALL)
@@ -275,7 +275,7 @@ def test_mp4_uses_a_codec_that_browsers_play(run, tmp_path, capsys):
     ).stdout
     first = np.frombuffer(raw, dtype=np.uint8)[: 48 * 64 * 3].reshape(48, 64, 3).astype(int)
     expected = wc.render(run, time=0.05, labels=False, **SMALL).astype(int)
-    # Colours survive the way through H.264, but for its losses; the label covers little.
+    # Colors survive H.264, except for its losses; the label covers little.
     assert np.median(np.abs(first - expected)) <= 4
 
 

@@ -1,4 +1,4 @@
-"""What is said of environments that a condition stopped, wherever results of all are shown together."""
+"""Environments stopped by a condition in pictures, reports and statistics of all environments."""
 
 import csv
 
@@ -10,7 +10,7 @@ import warpcontact as wc
 from warpcontact.experiment import picture
 from warpcontact.files.picture_file import save
 
-# Balls fall from rest: three come down, one gets to an energy that the lighter one does not, one fails.
+# Balls fall from rest: three reach the ground, one reaches an energy that the lighter one does not, one fails.
 FALL = {
     "name": "fall",
     "envs": 6,
@@ -54,7 +54,7 @@ def test_stopped_environments_are_held_or_dropped_in_a_quantile_fan(run, tmp_pat
     np.testing.assert_allclose(held, np.quantile(energy[:, well], (0.0, 0.5, 1.0), axis=1), rtol=1e-12)
     left = wc.quantile_fan(run, energy.name, (0.0, 0.5, 1.0), missing="drop", stopped="drop")
     for i, time in enumerate(energy["time"].values):
-        # Half a step of room, in which there is no other state.
+        # Half a step of tolerance, within which there is no other state.
         there = [env for env in well if env == 4 or time <= ends[env] + 0.005]
         np.testing.assert_allclose(left[:, i], np.quantile(energy[i, there], (0.0, 0.5, 1.0)), rtol=1e-12)
     assert not np.allclose(left, held)

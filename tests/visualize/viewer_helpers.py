@@ -1,4 +1,4 @@
-"""What tests of the live view share: small runs, pages that are closed, and waiting for their threads."""
+"""Helpers for tests of the live view: small runs, pages that are closed, and waiting for threads."""
 
 import contextlib
 import threading
@@ -19,17 +19,17 @@ def make_run(folder, **replaced):
 
 @contextlib.contextmanager
 def viewing(target, **options):
-    """Shows ``target`` on a page; yields what is behind it, when it has begun."""
+    """Shows ``target`` on a page; yields its viewer thread after it has started."""
     with wc.view(target, port=0, block=False, device="cpu", **options) as viewer:
         wait_for_thread(viewer.viewer_thread)
         yield viewer.viewer_thread
 
 
 def wait_for_thread(show):
-    """Waits until the thread has done all that it was asked so far, and shows it."""
+    """Waits until the thread has processed all requests so far and has drawn the result."""
     done = threading.Event()
     show.post(done.set)
-    # The first time it compiles, on whatever machine.
+    # The first call compiles kernels, possibly on a slow machine.
     assert done.wait(900.0), "the thread of the page does not answer"
     seen = show.pictures
     poll_until(lambda: show.pictures > seen)
@@ -44,7 +44,7 @@ def poll_until(holds, timeout=60.0):
 
 
 def ball_on_ground(envs=3, **contact):
-    """A simulation of a ball that lies on the ground, in several environments."""
+    """A simulation of a ball at rest on the ground, in several environments."""
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="ground")
     ball = scene.add_body(1.0, (4e-3, 4e-3, 4e-3), position=(0, 0, 0.0999), name="ball")
