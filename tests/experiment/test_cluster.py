@@ -39,7 +39,7 @@ def workers(folder):
     """Returns the process that works on each shard, by shard number."""
     found = {}
     for path in (folder / "progress").glob("shard_*.json"):
-        # A shard that ends removes its file, possibly between listing and reading.
+        # A shard that ends removes its file, possibly before it is read.
         with contextlib.suppress(FileNotFoundError):
             found[int(path.stem[-6:])] = json.loads(path.read_text())["process"]
     return found

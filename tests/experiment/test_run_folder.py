@@ -157,7 +157,7 @@ def test_run_in_progress_can_be_read_but_not_resumed(whole_run, tmp_path):
     assert sharded_runs.hashes(folder) == sharded_runs.hashes(whole_run)
 
 
-# Reading
+# Results
 
 
 def test_unfinished_run_shows_committed_results(whole_run, part_run):

@@ -372,7 +372,7 @@ def block_with_a_gap(gap, cells=10, half=0.25, height=0.0137):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_face_grid_clearance_is_zero_around_a_narrow_gap_inside_a_body(precision, device):
-    """Of the two faces of the gap, equally near to rounding, one has the gap on its side and the other the body."""
+    """Both faces of the gap are equally near to rounding; one has the gap on its side, the other the body."""
     near = block_with_a_gap(2e-6)
     faces = near.faces
     # A surface of two meshes far apart has large coordinates.

@@ -2,7 +2,7 @@
 
 The argument is the limit on processor time in seconds. Every file is read as by ``load_mesh``, but if the system
 supports it, the sandboxed process is a fork of this one that has its imports already. Starting Python takes longer
-than reading most files.
+than loading most files.
 """
 
 import contextlib

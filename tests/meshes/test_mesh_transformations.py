@@ -1,4 +1,4 @@
-"""Meshes derived from others: entries of their reports that are kept or recomputed."""
+"""Meshes derived from others: entries of their reports that are copied or recomputed."""
 
 from dataclasses import replace
 

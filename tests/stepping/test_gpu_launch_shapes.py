@@ -210,7 +210,8 @@ class Case:
     Attributes:
         make: Returns the simulation for a device and options of ``Simulation``.
         kernels: Kernels of the step among ``GPU_KERNELS``.
-        few: Value of ``execution_plan.SMALL_LAUNCH``; with 0 every number of contacts counts as many. Default: the constant.
+        few: Value of ``execution_plan.SMALL_LAUNCH``; with 0 every number of contacts counts as many. Default: the
+            constant.
         warps: Value of ``execution_plan.FULL_WARPS``. Default: the constant.
         queues: Number of launches that process a work queue.
         accepts: Whether the integration kernel also accepts the step.

@@ -349,5 +349,5 @@ def test_usd_arrow_length_is_relative_to_body_size(device, tmp_path):
         record = [f"touch.{key}" for key in ("normal_force", "normal", "point")]
         stage = export(wc.Simulation(model, dt=1e-3).run(2e-3, record), tmp_path)
         longest[factor] = np.linalg.norm(arrows(stage, "/World/env_0/contacts/touch/force", 0)[1])
-    # 1.5 times the diameter about the centre of mass: a box of 2 m, times the factor.
+    # 1.5 times the diameter about the center of mass: a box of 2 m, times the factor.
     np.testing.assert_allclose([longest[1.0], longest[4.0]], 1.5 * np.sqrt(12) * np.array([1.0, 4.0]), rtol=0.05)

@@ -19,7 +19,7 @@ FRONT = direction(math.radians(-60.0), math.radians(22.0))
 
 
 def bowl(depth=1.0, **where):
-    """z = depth · (x² + y²) over a square of two metres."""
+    """z = depth · (x² + y²) over a square of 2 m."""
     mesh = grid((2.0, 2.0), (30, 30))
     x, y, _ = mesh.vertices.T
     shape = Shape(np.stack([x, y, depth * (x * x + y * y)], axis=1), mesh.faces)

@@ -141,9 +141,7 @@ class Step:
         return after
 
     def solve(self, solver, real=wp.float64, tolerance=None, iterations=1000, status=(0, 1, 0)):
-        """Solves the step; returns the result of the last active environment, and checks that inactive ones are
-        unchanged.
-        """
+        """Solves the step in several environments, some of them inactive; returns the result of the last one."""
         arrays = self.arrays(real, len(status))
         if tolerance is None:
             tolerance = 1e-12 if real == wp.float64 else 1e-5

@@ -25,7 +25,7 @@ def test_light_ball_next_to_heavy_one_moves_as_alone(device):
 
 @pytest.mark.parametrize("solver", ["gauss_seidel", "accelerated"])
 def test_restitution_that_adds_no_energy_is_not_limited(device, solver):
-    # A box falls on four points at once, without friction: the distribution of impulses is not unique, the work
+    # A box falls on four points simultaneously, without friction: the distribution of impulses is not unique, the work
     # is.
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     ground = scene.add_surface(square(50.0), name="ground")

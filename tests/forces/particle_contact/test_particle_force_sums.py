@@ -13,9 +13,7 @@ FRICTION = wc.friction.Tanh(mu=0.4, velocity_scale=0.1)
 
 @pytest.mark.parametrize("several", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_particle_forces_summed_by_body_match_sequential_sums(several):
-    """A GPU, where threads share an environment, sums per body in a kernel; a CPU thread adds each force
-    immediately.
-    """
+    """A GPU, where threads share an environment, sums per body in a kernel; a CPU thread adds each force."""
     positions, turns, forms, _, _ = cloud(capsules=True)
     scene = wc.Scene(gravity=(0, 0, 0))
     velocities = np.random.default_rng(2).normal(size=positions.shape)
