@@ -260,22 +260,25 @@ CALLS_OF = {
 # Modules that use run folders.
 USERS = (
     "experiment",
-    "run_report",
-    "folder_commands.py",
-    "report_command.py",
-    "checkpoint.py",
-    "direct.py",
-    "cli.py",
+    "visualize/report",
+    "visualize/viewer/sources.py",
+    "cli/commands.py",
+    "cli/report.py",
+    "cli/run_folders.py",
+    "files/direct_io.py",
+    "files/picture_file.py",
+    "stepping/checkpoint.py",
+    "usd/clips.py",
+    "usd/files.py",
 )
-USERS += ("usd/files.py", "usd/clips.py", "viewer/sources.py", "picture_file.py")
 # Calls that do not access the file system, or access files elsewhere.
 ALLOWED = {
-    ("cli.py", "open"),  # the null device, for a closed pipe
-    ("experiment/own.py", "glob"),  # names of laws, for a suggestion
+    ("cli/commands.py", "open"),  # the null device, for a closed pipe
+    ("experiment/user_code.py", "glob"),  # names of laws, for a suggestion
     ("experiment/rows_file.py", "loadtxt"),  # of an open file
     ("experiment/trust.py", "mkdir"),  # the state folder of the user
     ("experiment/trust.py", "touch"),
-    ("run_report/page.py", "read_text"),  # of the package
+    ("visualize/report/page.py", "read_text"),  # of the package
     ("usd/files.py", "TemporaryDirectory"),  # a new folder with a random name
 }
 
