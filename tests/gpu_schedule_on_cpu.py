@@ -42,8 +42,10 @@ def use_work_queues(monkeypatch):
     monkeypatch.setattr(simulation, "slice_sizes", lambda shares, _: [envs for _, envs in shares])
 
 
-def sum_by_body(pile):
+def sum_by_body(contact_set):
     """Sums contact forces of particles per body, instead of adding each one immediately."""
-    assert pile._alone
-    pile._alone = False
-    pile._kernel = force.kernel(pile._parts, pile._traits, pile.real, moves=False, single_thread=False)
+    assert contact_set._alone
+    contact_set._alone = False
+    contact_set._kernel = force.kernel(
+        contact_set._parts, contact_set._traits, contact_set.real, moves=False, single_thread=False
+    )

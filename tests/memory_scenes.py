@@ -19,7 +19,7 @@ def ball_scene():
     return scene
 
 
-def busy_scene():
+def mixed_scene():
     """Several bodies, sets, groups, meshes, latches, and models with history."""
     scene = ball_scene()
     ball = scene.bodies[0]
@@ -37,7 +37,7 @@ def busy_scene():
     return scene
 
 
-def set_scene():
+def body_set_scene():
     """A body set with one contact per body, and other bodies."""
     scene = ball_scene()
     at = np.random.default_rng(1).uniform(-1, 1, (40, 3)) + 3.0
@@ -76,7 +76,7 @@ def coupled_scene():
     return scene
 
 
-def pile_scene():
+def particle_scene():
     """Particle contact of spheres and capsules with neighbor lists, and one with lists of all pairs."""
     scene = ball_scene()
     places = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), -1).reshape(-1, 3)
@@ -93,7 +93,7 @@ def pile_scene():
     return scene
 
 
-def smooth_scene():
+def shape_contact_scene():
     """Shape contacts of two groups: with history and curvatures, of a body set, and with the world."""
     scene = ball_scene()
     grains = scene.add_bodies(np.eye(3) + 3.0, 1.0, (1, 1, 1), name="grains")
@@ -113,12 +113,12 @@ def smooth_scene():
 
 SCENES = {
     "ball": ball_scene,
-    "busy": busy_scene,
-    "set": set_scene,
+    "mixed": mixed_scene,
+    "body set": body_set_scene,
     "no contacts": free_scene,
-    "coupled": coupled_scene,
-    "pile": pile_scene,
-    "smooth": smooth_scene,
+    "couplings": coupled_scene,
+    "particles": particle_scene,
+    "shape contacts": shape_contact_scene,
 }
 
 

@@ -44,59 +44,64 @@ class Lubricated(wc.Friction):
 
 
 @pytest.fixture(scope="module")
-def some(device):
+def table_impacts(device):
     """Impacts with the laws of ``ROWS``, at the restitutions of the table."""
     return compare.impacts([law for law, _ in ROWS], device=device)
 
 
 @pytest.fixture(scope="module")
-def every(device):
+def catalogue_impacts(device):
     """Impacts with every law of the catalogue."""
     return compare.impacts(L.CATALOGUE, [0.3, 0.7, 1.0], device=device)
 
 
-def test_effective_restitution_matches_reference_table(some, shared):
+def test_effective_restitution_matches_reference_table(table_impacts, shared):
     table = np.genfromtxt(shared / "laws" / "restitution_table.csv", delimiter=",", names=True, deletechars="")
     rows = {round(float(e), 2): k for k, e in enumerate(table["e_prescribed"])}
-    order = [rows[round(float(e), 2)] for e in some["restitution"].values]
+    order = [rows[round(float(e), 2)] for e in table_impacts["restitution"].values]
     for law, column in ROWS:
-        measured = some["effective_restitution"].sel(law=law.__name__)
+        measured = table_impacts["effective_restitution"].sel(law=law.__name__)
         # 1000 steps per contact time: a law that is discontinuous at the end of the approach has an error of 1e-3.
         np.testing.assert_allclose(measured, table[column][order], atol=1e-3, err_msg=law.__name__)
 
 
 @pytest.mark.slow
-def test_hysteresis_loops_close_and_enclose_lost_energy(every):
-    force, depth = every["normal_force"], every["penetration"]
+def test_hysteresis_loops_close_and_enclose_lost_energy(catalogue_impacts):
+    force, depth = catalogue_impacts["normal_force"], catalogue_impacts["penetration"]
     for end in (0, -1):
         assert (force.isel(time=end) == 0).all()
     assert (depth.isel(time=0) == 0).all()
     assert (force.max("time") > 0).all()
-    lost = 0.5 * every.attrs["mass"] * every.attrs["speed"] ** 2 * (1 - every["effective_restitution"] ** 2)
+    lost = (
+        0.5
+        * catalogue_impacts.attrs["mass"]
+        * catalogue_impacts.attrs["speed"] ** 2
+        * (1 - catalogue_impacts["effective_restitution"] ** 2)
+    )
     # Records are 1/500 of a contact time apart. A dashpot on approach with e = 0.3 dissipates all energy within
     # about twelve of them.
-    np.testing.assert_allclose(every["energy_loss"], lost, atol=4e-3 * 0.5)
+    np.testing.assert_allclose(catalogue_impacts["energy_loss"], lost, atol=4e-3 * 0.5)
 
 
 @pytest.mark.slow
-def test_all_laws_are_compared_in_the_same_impact(every):
+def test_all_laws_are_compared_in_the_same_impact(catalogue_impacts):
     """All undamped laws have equal penetration; damped laws have the prescribed restitution, and elastic ones e =
     1.
     """
-    undamped = every.sel(restitution=1.0)
+    undamped = catalogue_impacts.sel(restitution=1.0)
     np.testing.assert_allclose(undamped["greatest_penetration"], 1e-3, rtol=1e-3)
     # 2.6 to 3.14 δ/v, depending on the exponent.
     assert ((undamped["contact_time"] > 2.6e-3) & (undamped["contact_time"] < 3.2e-3)).all()
-    varied = dict(zip(every["law"].values, every["varied"].values, strict=True))
+    varied = dict(zip(catalogue_impacts["law"].values, catalogue_impacts["varied"].values, strict=True))
     assert {law for law, name in varied.items() if not name} == {law.__name__ for law in ELASTIC}
     for law, name in varied.items():
-        measured = every["effective_restitution"].sel(law=law)
+        measured = catalogue_impacts["effective_restitution"].sel(law=law)
         if not name:
             np.testing.assert_allclose(measured, 1.0, atol=1e-3)
         elif name != "restitution":
             # Found by interpolation in a series with coarser steps.
-            np.testing.assert_allclose(measured, every["restitution"], atol=2e-3, err_msg=law)
-            assert every["parameter"].sel(law=law).values[-1] == 0.0
+            np.testing.assert_allclose(measured, catalogue_impacts["restitution"], atol=2e-3, err_msg=law)
+            assert catalogue_impacts["parameter"].sel(law=law).values[-1] == 0.0
 
 
 def test_peak_force_and_contact_time_match_closed_forms(device):

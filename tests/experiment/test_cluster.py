@@ -22,7 +22,7 @@ WORDS = ("--shard", 4, "--device", "cpu")
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
+def study_folder(tmp_path_factory):
     """A folder with the experiment, and its run without Ray in ``whole``."""
     pytest.importorskip("ray")
     folder = tmp_path_factory.mktemp("cluster")
@@ -59,8 +59,8 @@ def test_run_without_ray_installed_prints_one_message(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_unreachable_ray_cluster_prints_one_message(place, tmp_path):
-    code, _, err = sharded_runs.run(place / "study.toml", "--out", tmp_path / "out", "--ray", "127.0.0.1:1")
+def test_unreachable_ray_cluster_prints_one_message(study_folder, tmp_path):
+    code, _, err = sharded_runs.run(study_folder / "study.toml", "--out", tmp_path / "out", "--ray", "127.0.0.1:1")
     assert code == 2, err
     assert "--ray 127.0.0.1:1: no cluster of Ray can be reached" in err
     assert "Traceback" not in err
@@ -69,14 +69,14 @@ def test_unreachable_ray_cluster_prints_one_message(place, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_ray_run_writes_bitwise_identical_results(place, tmp_path):
+def test_ray_run_writes_bitwise_identical_results(study_folder, tmp_path):
     out = tmp_path / "out"
-    code, printed, err = sharded_runs.run(place / "study.toml", "--out", out, "--ray", *WORDS)
+    code, printed, err = sharded_runs.run(study_folder / "study.toml", "--out", out, "--ray", *WORDS)
     assert code == 0, err
     assert "10 environments × 0.2 s in 200 steps" in printed
-    assert sharded_runs.hashes(out) == sharded_runs.hashes(place / "whole")
+    assert sharded_runs.hashes(out) == sharded_runs.hashes(study_folder / "whole")
     assert sharded_runs.leftovers(out) == []
-    assert wc.open_run(out, verify=True).digest() == wc.open_run(place / "whole").digest()
+    assert wc.open_run(out, verify=True).digest() == wc.open_run(study_folder / "whole").digest()
 
 
 @pytest.mark.slow
@@ -120,7 +120,7 @@ def test_shard_of_killed_worker_is_run_again(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_shard_failing_three_times_on_cluster_is_reported_and_others_finish(place, tmp_path):
+def test_shard_failing_three_times_on_cluster_is_reported_and_others_finish(study_folder, tmp_path):
     path, out = sharded_runs.overflowing_study(tmp_path), tmp_path / "out"
     code, printed, err = sharded_runs.run(path, "--out", out, "--ray", "--shard", 2)
     assert code == 3, err
@@ -154,10 +154,10 @@ def test_stopped_cluster_run_resumes_without_cluster(number, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_stop_request_before_first_cluster_shard_reports_nothing_stored(place, tmp_path):
+def test_stop_request_before_first_cluster_shard_reports_nothing_stored(study_folder, tmp_path):
     out = tmp_path / "out"
     first = sharded_runs.send_signal_at_stage(signal.SIGTERM, "building")
-    code, _, err = sharded_runs.run(place / "study.toml", "--out", out, "--ray", *WORDS, first=first)
+    code, _, err = sharded_runs.run(study_folder / "study.toml", "--out", out, "--ray", *WORDS, first=first)
     assert code == 130, err
     assert err.endswith("\nwarpcontact: interrupted before anything was saved\n")
     assert not out.exists()
@@ -172,14 +172,16 @@ def test_stop_request_while_ray_starts_is_handled(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_run_started_in_one_process_resumes_with_ray(place, tmp_path):
+def test_run_started_in_one_process_resumes_with_ray(study_folder, tmp_path):
     out = tmp_path / "out"
     kill = sharded_runs.kill_at_commit(25)
-    code, _, err = sharded_runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill)
+    code, _, err = sharded_runs.run(
+        study_folder / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill
+    )
     assert code == -signal.SIGKILL, err
     code, _, err = sharded_runs.run("--resume", "--out", out, "--device", "cpu", "--ray")
     assert code == 0, err
-    assert sharded_runs.hashes(out) == sharded_runs.hashes(place / "whole")
+    assert sharded_runs.hashes(out) == sharded_runs.hashes(study_folder / "whole")
     assert sharded_runs.leftovers(out) == []
 
 
@@ -213,11 +215,11 @@ def test_concurrent_shards_are_limited_by_memory(machines, gpus, places, there, 
     # The memory of the planning process does not count.
     plan = Plan(100, 5, 1, MemoryEstimate(5, "cpu", (MemoryItem("state", HOST, 6),)), 0, (), process=50)
     messages = []
-    place = ClusterResources(Cluster(*machines), cores=2, gpus=gpus, slots=places).limit_by_memory(
+    resources = ClusterResources(Cluster(*machines), cores=2, gpus=gpus, slots=places).limit_by_memory(
         plan, messages.append
     )
     # Including the reserve.
-    assert (place.slots, place.memory) == (there, int(8 / USABLE_FRACTION))
+    assert (resources.slots, resources.memory) == (there, int(8 / USABLE_FRACTION))
     assert len(messages) == message_count
     if message_count:
         assert (
@@ -228,10 +230,10 @@ def test_concurrent_shards_are_limited_by_memory(machines, gpus, places, there, 
 
 def test_shard_too_large_for_every_node_is_refused():
     plan = Plan(100, 5, 1, MemoryEstimate(5, "cpu", (MemoryItem("state", HOST, 6 * 2**30),)), 0, ())
-    place = ClusterResources(Cluster((8, 0, 2**30), (1, 0, 2**40)), cores=2, gpus=0, slots=4)
-    message = "takes 7.58 GiB, and a machine has at most 1 GiB; use a smaller shard"
+    resources = ClusterResources(Cluster((8, 0, 2**30), (1, 0, 2**40)), cores=2, gpus=0, slots=4)
+    message = "takes 7.58 GiB of a machine, and Ray has 1 GiB at most; take a smaller shard"
     with pytest.raises(MemoryError, match=message):
-        place.limit_by_memory(plan, print)
+        resources.limit_by_memory(plan, print)
 
 
 @pytest.mark.parametrize("device", ["cuda:0,cuda:1", "cuda:1", "cpu,cpu"])
@@ -249,8 +251,8 @@ def test_device_list_is_refused_with_ray(device, tmp_path, capsys):
     [("auto", 4, (4, 1, 4)), ("cuda:0", 4, (4, 1, 4)), ("cpu", 4, (4, 0, 8)), ("auto", 0, (4, 0, 8))],
 )
 def test_cluster_resources_match_requested_device(device, gpus, expected):
-    place = cluster_resources(Cluster((16, gpus // 2, 100), (16, gpus // 2, 100)), device, "study.toml")
-    assert (place.cores, place.gpus, place.slots) == expected
+    resources = cluster_resources(Cluster((16, gpus // 2, 100), (16, gpus // 2, 100)), device, "study.toml")
+    assert (resources.cores, resources.gpus, resources.slots) == expected
 
 
 def test_requested_gpu_missing_from_cluster_is_refused():
@@ -261,30 +263,31 @@ def test_requested_gpu_missing_from_cluster_is_refused():
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_cpu_shards_use_cores_of_cluster_with_gpus(place, tmp_path):
+def test_cpu_shards_use_cores_of_cluster_with_gpus(study_folder, tmp_path):
     gpu = "import ray; ray.init(address='local', num_cpus=4, num_gpus=1, object_store_memory=10**8)"
     out = tmp_path / "out"
-    code, _, err = sharded_runs.run(place / "study.toml", "--out", out, "--ray", "--device", "cpu", first=gpu)
+    code, _, err = sharded_runs.run(
+        study_folder / "study.toml", "--out", out, "--ray", "--device", "cpu", first=gpu
+    )
     assert code == 0, err
     # Four shards for each of two slots, not for one GPU.
     assert wc.open_run(out, verify=True).summary["shard"] == 2
-    assert wc.open_run(out).digest() == wc.open_run(place / "whole").digest()
+    assert wc.open_run(out).digest() == wc.open_run(study_folder / "whole").digest()
 
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_cluster_with_memory_for_one_shard_runs_shards_sequentially(place, tmp_path):
+def test_cluster_with_memory_for_one_shard_runs_shards_sequentially(study_folder, tmp_path):
     little = "import ray; ray.init(address='local', num_cpus=2, _memory=0.9e9, object_store_memory=10**8)"
     out = tmp_path / "out"
-    code, _, err = sharded_runs.run(place / "study.toml", "--out", out, "--ray", *WORDS, first=little)
+    code, _, err = sharded_runs.run(study_folder / "study.toml", "--out", out, "--ray", *WORDS, first=little)
     assert code == 0, err
-    assert (
-        "running 1 shards concurrently instead of 2, limited by memory: a shard of 4 environments, with Python"
-        in err
-    )
-    assert sharded_runs.hashes(out) == sharded_runs.hashes(place / "whole")
+    assert "running 1 at once, and not 2, for want of memory: a shard of 4 environments, with Python" in err
+    assert sharded_runs.hashes(out) == sharded_runs.hashes(study_folder / "whole")
     none = little.replace("0.9e9", "0.2e9")
-    code, _, err = sharded_runs.run(place / "study.toml", "--out", tmp_path / "none", "--ray", *WORDS, first=none)
+    code, _, err = sharded_runs.run(
+        study_folder / "study.toml", "--out", tmp_path / "none", "--ray", *WORDS, first=none
+    )
     assert code == 2
     assert "warpcontact: --ray: a shard of 4 environments, with Python" in err
     assert not (tmp_path / "none").exists()

@@ -134,7 +134,7 @@ def test_frozen_environments_are_reported_in_summary(tmp_path):
         {"record": {"sensors": ["touch.normal_force"]}, "variation": {"ball.mass": {"loguniform": [0.01, 10]}}},
         {"surface": [{"name": "ground", "mesh": {"shape": "box"}, "position": [0, 0, -0.5]}]},
     ],
-    ids=["one", "no_surface", "logarithmic colours", "closed mesh"],
+    ids=["one", "no_surface", "logarithmic colors", "closed mesh"],
 )
 def test_picture_is_drawn_for_any_recorded_content(changes, tmp_path):
     run = wc.Experiment(content(**changes)).run(tmp_path, device="cpu")

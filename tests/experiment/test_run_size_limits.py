@@ -183,17 +183,17 @@ def test_folders_nested_too_deep_to_be_removed_raise_with_their_name(tmp_path, m
 
 def test_each_chunk_is_accessed_once_and_staging_once_per_shard(tmp_path, monkeypatch):
     ledger = finished(tmp_path, empty=())
-    looked, status = [], RunPath.status
+    queried, status = [], RunPath.status
 
     def noted(path):
-        looked.append("/".join(path.parts))
+        queried.append("/".join(path.parts))
         return status(path)
 
     monkeypatch.setattr(RunPath, "status", noted)
     ledger.check(EXTENT)
-    chunks = [name for name in looked if "/c/" in name]
+    chunks = [name for name in queried if "/c/" in name]
     assert sorted(chunks) == [f"data.zarr/params/mass/c/{k}" for k in range(4)]
-    assert [name for name in looked if name.startswith("staging")] == ["staging/shard_000000"]
+    assert [name for name in queried if name.startswith("staging")] == ["staging/shard_000000"]
 
 
 def test_staged_chunk_is_found(tmp_path):

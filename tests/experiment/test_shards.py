@@ -50,7 +50,7 @@ def stored(run):
 
 
 @pytest.fixture(scope="module")
-def at_once(device, tmp_path_factory):
+def unsharded(device, tmp_path_factory):
     return varied().run(tmp_path_factory.mktemp("once") / "out", device=device)
 
 
@@ -58,27 +58,27 @@ def at_once(device, tmp_path_factory):
     ("shard", "shards"),
     slow_except([(1, 11), (2, 6), (4, 3), (10, 2), (11, 1), (1000, 1)], lambda case: case[0] in (4, 10, 1000)),
 )
-def test_results_do_not_depend_on_shard_size(shard, shards, at_once, device, tmp_path):
+def test_results_do_not_depend_on_shard_size(shard, shards, unsharded, device, tmp_path):
     run = varied().run(tmp_path / "out", device=device, shard=shard)
-    assert stored(run).identical(stored(at_once))
-    assert list(stored(run)) == list(stored(at_once))
-    assert run.digest() == at_once.digest()
+    assert stored(run).identical(stored(unsharded))
+    assert list(stored(run)) == list(stored(unsharded))
+    assert run.digest() == unsharded.digest()
     assert run.recording["env"].values.tolist() == list(range(11))
     assert run.recording.scene is not None
     assert (run.summary["shards"], run.summary["envs"]) == (shards, 11)
     assert run.summary["shard"] <= shard
-    assert run.summary["steps"] == at_once.summary["steps"]
-    assert set(run.files) == set(at_once.files)
+    assert run.summary["steps"] == unsharded.summary["steps"]
+    assert set(run.files) == set(unsharded.files)
     # Pictures and animations are equal for any shards.
-    assert run.files["picture"].read_bytes() == at_once.files["picture"].read_bytes()
-    assert animation(run) == animation(at_once)
+    assert run.files["picture"].read_bytes() == unsharded.files["picture"].read_bytes()
+    assert animation(run) == animation(unsharded)
 
 
 @pytest.mark.parametrize("shard", slow_except([1, 3, 4, 10], lambda shard: shard in (3, 4)))
-def test_shards_are_split_over_devices(shard, at_once, device, tmp_path):
+def test_shards_are_split_over_devices(shard, unsharded, device, tmp_path):
     plan = varied().plan(device=[device] * 3, shard=shard)
     run = varied().run(tmp_path / "out", device=[device] * 3, shard=shard)
-    whole, split = stored(at_once), stored(run)
+    whole, split = stored(unsharded), stored(run)
     names = [name.partition(" ")[0] for name in split.attrs.pop("device").split(", ")]
     assert names == [device] * min(3, plan.shard)
     whole.attrs.pop("device")
@@ -93,7 +93,7 @@ def animation(run):
     return layer.ExportToString()
 
 
-def test_plan_selects_shard_size_by_memory(at_once, device, tmp_path, monkeypatch):
+def test_plan_selects_shard_size_by_memory(unsharded, device, tmp_path, monkeypatch):
     from warpcontact.storage import memory_estimate as footprint
 
     plan = varied().plan(device=device)
@@ -111,8 +111,8 @@ def test_plan_selects_shard_size_by_memory(at_once, device, tmp_path, monkeypatc
     assert f"11 environments: {plan.shards} shards of {plan.shard}, one after another" in str(plan)
     run = varied().run(tmp_path / "out", device=device)
     assert run.summary["shards"] == plan.shards > 1
-    assert stored(run).identical(stored(at_once))
-    with pytest.raises(MemoryError, match=r"shard 11: 11 environments need .*; at most \d+ fit on"):
+    assert stored(run).identical(stored(unsharded))
+    with pytest.raises(MemoryError, match=r"shard 11: 11 environments need .*; at most \d+ at once fits on"):
         varied().run(tmp_path / "more", device=device, shard=11)
     assert not (tmp_path / "more").exists()
 
@@ -338,7 +338,7 @@ print(told("VmHWM") - before, plan.footprint.host_bytes)
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="asks Linux how much memory a process has")
-@pytest.mark.parametrize("shard", [36864, 73728], ids=["shards", "at once"])
+@pytest.mark.parametrize("shard", [36864, 73728], ids=["two_shards", "one_shard"])
 def test_experiment_plan_matches_memory_of_its_run(shard, tmp_path):
     """Within 15 %, from start to picture, for one and two shards.
 

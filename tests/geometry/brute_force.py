@@ -38,11 +38,11 @@ class Surface:
         for faces, tree, _ in self._classes:
             _, at = tree.query(points, k=min(4, len(faces)))
             for column in at.reshape(len(points), -1).T:
-                feet = nearest_on_triangles(points, self.corners[faces[column]])
-                reach = np.minimum(reach, np.linalg.norm(points - feet, axis=1))
+                closest_points = nearest_on_triangles(points, self.corners[faces[column]])
+                reach = np.minimum(reach, np.linalg.norm(points - closest_points, axis=1))
         # The margin is far larger than the rounding error of a distance.
         reach = reach * (1 + 1e-12) + 1e-12 * self.size
-        distance, foot = np.full(len(points), np.inf), np.zeros((len(points), 3))
+        distance, closest = np.full(len(points), np.inf), np.zeros((len(points), 3))
         face = np.zeros(len(points), dtype=int)
         for faces, tree, largest in self._classes:
             counts = tree.query_ball_point(points, reach + largest, return_length=True)
@@ -50,8 +50,8 @@ class Surface:
                 near = tree.query_ball_point(points[part], reach[part] + largest)
                 owner = np.repeat(np.arange(part.start, part.stop), counts[part])
                 found = faces[np.concatenate([np.asarray(one, dtype=int) for one in near])]
-                feet = nearest_on_triangles(points[owner], self.corners[found])
-                away = np.linalg.norm(points[owner] - feet, axis=1)
+                closest_points = nearest_on_triangles(points[owner], self.corners[found])
+                away = np.linalg.norm(points[owner] - closest_points, axis=1)
                 # Sorted by decreasing distance: the last write, of the nearest face, remains.
                 order = np.argsort(-away, kind="stable")
                 order = order[away[order] < distance[owner[order]]]
@@ -59,8 +59,12 @@ class Surface:
                 best[owner[order]] = order
                 better = np.flatnonzero(best >= 0)
                 chosen = best[better]
-                distance[better], foot[better], face[better] = away[chosen], feet[chosen], found[chosen]
-        return distance, foot, face
+                distance[better], closest[better], face[better] = (
+                    away[chosen],
+                    closest_points[chosen],
+                    found[chosen],
+                )
+        return distance, closest, face
 
     def winding(self, points):
         """Returns the winding number (N,) of the closed surface: 0 outside, 1 inside."""
@@ -125,12 +129,12 @@ def nearest_on_triangles(points, corners):
         edge = corners[:, (k + 1) % 3] - start
         to_point = points - start
         over &= _dot(np.cross(normal, edge), to_point) > 0
-        foot = start + np.clip(_dot(to_point, edge) / _dot(edge, edge), 0, 1)[:, None] * edge
-        away = _dot(points - foot, points - foot)
+        closest = start + np.clip(_dot(to_point, edge) / _dot(edge, edge), 0, 1)[:, None] * edge
+        away = _dot(points - closest, points - closest)
         if best is None:
-            best, square = foot, away
+            best, square = closest, away
         else:
-            best, square = np.where((away < square)[:, None], foot, best), np.minimum(away, square)
+            best, square = np.where((away < square)[:, None], closest, best), np.minimum(away, square)
     height = _dot(points - corners[:, 0], normal) / _dot(normal, normal)
     return np.where(over[:, None], points - height[:, None] * normal, best)
 

@@ -64,19 +64,19 @@ def test_bvh_has_every_face_once_and_valid_bounds(mesh):
     assert tree.faces.shape == (face_capacity(count),)
     found = tree.faces[below(tree, 0)]
     np.testing.assert_array_equal(np.sort(found[found < count]), np.arange(count))
-    in_table = corner.astype(np.float32).astype(np.float64)
-    for node, of_node in enumerate(tree.bounds.astype(np.float64)):
+    rounded_corner = corner.astype(np.float32).astype(np.float64)
+    for node, node_bounds in enumerate(tree.bounds.astype(np.float64)):
         lanes = list(children(tree, node))
-        assert np.isnan(of_node[:, len(lanes) :]).all()
+        assert np.isnan(node_bounds[:, len(lanes) :]).all()
         for lane, child in enumerate(lanes):
             faces = tree.faces[below(tree, child)]
             faces = faces[faces < count]
-            centre, radius, across, half = np.split(of_node[:, lane], [3, 4, 7])
+            centre, radius, across, half = np.split(node_bounds[:, lane], [3, 4, 7])
             if not len(faces):
-                assert np.isnan(of_node[:, lane]).all()
+                assert np.isnan(node_bounds[:, lane]).all()
                 continue
             assert np.linalg.norm(across) == pytest.approx(1.0, abs=1e-6)
-            for points in (corner[faces], in_table[faces]):
+            for points in (corner[faces], rounded_corner[faces]):
                 away = points.reshape(-1, 3) - centre
                 height = away @ across
                 lateral = np.sqrt(np.maximum((away**2).sum(axis=1) - height**2, 0.0))
@@ -99,7 +99,7 @@ def test_bvh_disks_of_a_smooth_surface_thin_quadratically():
     assert 3.0 < thick[0] / thick[1] < 5.0
 
 
-def over(mesh, real, points=((0.0, 0.0, 0.0),)):
+def model_above(mesh, real, points=((0.0, 0.0, 0.0),)):
     """Returns a model of points above a mesh."""
     scene = wc.Scene()
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 3.0))
@@ -163,7 +163,7 @@ def test_bvh_nearest_face_matches_brute_force(mesh, real):
     points[5] = np.nan
     # Any face, or an index out of range.
     hints = rng.integers(-1, len(mesh.faces) + 1, count)
-    found, span, least = searched(over(mesh, real), real, points, hints)
+    found, span, least = searched(model_above(mesh, real), real, points, hints)
     assert np.isnan(found[5])
     is_finite = np.arange(count) != 5
     # The face found may be tied with the nearest.
@@ -176,16 +176,16 @@ def test_bvh_nearest_face_matches_brute_force(mesh, real):
 @pytest.mark.parametrize("height", [np.nan, np.inf, 1e20, 1e200])
 def test_cluster_with_non_finite_pose_has_no_clearance(height, real):
     """Clearance is −1 if the height or its square is not finite."""
-    t, of_near = structs(real), contact_detection.functions(real, False, DETECT_ALL)
+    t, detection_functions = structs(real), contact_detection.functions(real, False, DETECT_ALL)
     model_type, state_type, cache_type = t.Model, t.State, t.Cache
-    probe, frames_of_set = of_near.cluster_clearance, of_near.frames_of_set
+    probe, frames_of_set = detection_functions.cluster_clearance, detection_functions.frames_of_set
 
     @wp.kernel(module="unique", enable_backward=False)
     def probe_first(model: model_type, state: state_type, cache: cache_type, free: wp.array(dtype=real)):
         free[0] = probe(model, frames_of_set(model, state, 0, 0), cache, 0, 0)
 
     # A box is closed, so the clearance is the distance.
-    model = over(wc.meshes.box((1.0, 1.0, 1.0)), real, np.eye(3) * 0.1)
+    model = model_above(wc.meshes.box((1.0, 1.0, 1.0)), real, np.eye(3) * 0.1)
     arrays = model.parts[0].arrays
     free = wp.zeros(1, dtype=real, device="cpu")
 

@@ -15,22 +15,22 @@ import warpcontact as wc
 POINTS = 2000
 
 
-def lister(real, room):
+def cache_builder(real, capacity):
     """Returns a kernel that builds the face cache at given positions and returns the row of the nearest face.
 
-    Uses the BVH on a CPU if ``room`` is ``None``, else a mesh query with ``room`` faces in registers.
+    Uses the BVH on a CPU if ``capacity`` is ``None``, else a mesh query with ``capacity`` faces in registers.
     """
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
     closest_on_face = closest_points.functions(real).closest_on_face
-    if room is None:
+    if capacity is None:
         nearest, cache_faces_near = (
             bvh_search.functions(real).closest_in_bvh,
             bvh_search.functions(real).cache_faces_near,
         )
 
         @wp.kernel(module="unique", enable_backward=False)
-        def list_by_tree(
+        def build_with_bvh(
             model: model_type, cache: cache_type, places: wp.array(dtype=vec3), best: wp.array(dtype=wp.int32)
         ):
             contact = wp.tid()
@@ -39,12 +39,12 @@ def lister(real, room):
             cache_faces_near(model, 0, p, closest, cache, 0, contact)
             best[contact] = closest.row
 
-        return list_by_tree
+        return build_with_bvh
 
-    to_list = search.closest_and_cache(real, room)
+    to_list = search.closest_and_cache(real, capacity)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def list_aside(
+    def build_with_query(
         model: model_type, cache: cache_type, places: wp.array(dtype=vec3), best: wp.array(dtype=wp.int32)
     ):
         contact = wp.tid()
@@ -55,7 +55,7 @@ def lister(real, room):
         closest = to_list(model, 0, p, first, real(1e-6), cache, 0, contact)
         best[contact] = closest.row
 
-    return list_aside
+    return build_with_query
 
 
 def over_terrain(real, points, device):
@@ -70,19 +70,19 @@ def over_terrain(real, points, device):
     return scene.build(device=device, precision=precision)
 
 
-def room_in(model):
+def cache_capacity(model):
     """Returns the capacity of the face cache per contact."""
     cache = model.parts[0].arrays.cache
     return cache.face.shape[1] // cache.face_count.shape[1]
 
 
-def closest_in_cell(real, room, model, points, device):
+def build_caches(real, capacity, model, points, device):
     """Builds the caches of all points; returns the rows of their nearest faces."""
     arrays = model.parts[0].arrays
     places = wp.array(points, dtype=structs(real).vec3, device=device)
     best = wp.zeros(len(points), dtype=wp.int32, device=device)
     inputs = [arrays.model, arrays.cache, places, best]
-    wp.launch(lister(real, room), len(points), inputs, device=device)
+    wp.launch(cache_builder(real, capacity), len(points), inputs, device=device)
     return best.numpy()
 
 
@@ -90,21 +90,21 @@ def closest_in_cell(real, room, model, points, device):
 def test_face_cache_in_registers_contains_the_nearest_faces(real, device):
     points = np.random.default_rng(5).uniform([-1.9, -1.9, -0.1], [1.9, 1.9, 0.6], (POINTS, 3))
     model = over_terrain(real, points, device)
-    room = room_in(model)
-    best = closest_in_cell(real, room, model, points, device)
+    capacity = cache_capacity(model)
+    best = build_caches(real, capacity, model, points, device)
     cache, apart = model.parts[0].arrays.cache, distances(real, model, points, device)
     skin = float(model.parts[0].arrays.model.query_mesh_skin.numpy()[0])
     count, reach = cache.face_count.numpy()[0], cache.uncached_bound.numpy()[0]
     # Some caches are not full, and others had to drop the farthest face.
-    assert ((count > 0) & (count < room)).sum() > 50
-    assert (count == room).sum() > 50
+    assert ((count > 0) & (count < capacity)).sum() > 50
+    assert (count == capacity).sum() > 50
     # Rounding of coordinates of 2 m.
     off = 1e-6 if real is wp.float32 else 1e-14
     nearest = apart.min(axis=1)
     assert (apart[np.arange(POINTS), best] <= nearest + off).all()
-    assert (reach[count < room] >= nearest[count < room] + skin - off).all()
+    assert (reach[count < capacity] >= nearest[count < capacity] + skin - off).all()
     for contact, number in enumerate(count):
-        own = slice(contact * room, contact * room + number)
+        own = slice(contact * capacity, contact * capacity + number)
         faces = cache.face.numpy()[0][own]
         assert len(set(faces)) == number
         assert apart[contact, faces].max() <= reach[contact] + off
@@ -134,7 +134,7 @@ def test_face_cache_built_ahead_contains_faces_around_the_predicted_point(real):
     points = rng.uniform([-1.8, -1.8, -0.1], [1.8, 1.8, 0.4], (400, 3))
     model = over_terrain(real, points, "cpu")
     cache = model.parts[0].arrays.cache
-    closest_in_cell(real, None, model, points, "cpu")
+    build_caches(real, None, model, points, "cpu")
     np.testing.assert_array_equal(
         cache.list_center.numpy()[0], points.astype(cache.list_center.numpy().dtype)
     )  # not yet moved
@@ -148,9 +148,9 @@ def test_face_cache_built_ahead_contains_faces_around_the_predicted_point(real):
     last = cache.list_center.numpy()
     last[0, 5] = np.nan
     cache.list_center.assign(last)
-    nearest = closest_in_cell(real, None, model, here, "cpu")
+    nearest = build_caches(real, None, model, here, "cpu")
 
-    place, beyond, count = (
+    place, bound, count = (
         cache.list_center.numpy()[0],
         cache.uncached_bound.numpy()[0],
         cache.face_count.numpy()[0],
@@ -167,25 +167,25 @@ def test_face_cache_built_ahead_contains_faces_around_the_predicted_point(real):
     # Points within the skin of the cache centers, most of them close to its limit.
     about = rng.normal(size=points.shape)
     skin = float(model.parts[0].arrays.model.query_mesh_skin.numpy()[0])
-    gone = 0.99 * skin * rng.random(len(points)) ** 0.2
-    about = place + about * (gone / np.linalg.norm(about, axis=1))[:, None]
+    moved = 0.99 * skin * rng.random(len(points)) ** 0.2
+    about = place + about * (moved / np.linalg.norm(about, axis=1))[:, None]
     from_here, from_there, from_about = (distances(real, model, where, "cpu") for where in (here, place, about))
     # Rounding of coordinates of 2 m.
-    room, asked = 1e-6 if real is wp.float32 else 1e-14, 0
-    assert (from_here[np.arange(len(here)), nearest] <= from_here.min(axis=1) + room).all()
+    tolerance, checked = 1e-6 if real is wp.float32 else 1e-14, 0
+    assert (from_here[np.arange(len(here)), nearest] <= from_here.min(axis=1) + tolerance).all()
     for point, number in enumerate(count):
-        own = slice(point * room_in(model), point * room_in(model) + number)
+        own = slice(point * cache_capacity(model), point * cache_capacity(model) + number)
         faces, least = cache.face.numpy()[0][own], cache.distance.numpy()[0][own]
         assert len(set(faces)) == number > 0
-        assert (least <= from_there[point, faces] + room).all()
+        assert (least <= from_there[point, faces] + tolerance).all()
         # Within the validity bound of the cache, every face that is not cached is farther than the nearest cached
         # one.
         others = np.delete(from_about[point], faces).min()
         own = from_about[point, faces].min()
-        if own < beyond[point] - gone[point]:
-            asked += 1
-            assert others > own - room
-    assert asked > len(points) // 2
+        if own < bound[point] - moved[point]:
+            checked += 1
+            assert others > own - tolerance
+    assert checked > len(points) // 2
 
 
 @pytest.mark.parametrize(
@@ -201,9 +201,9 @@ def test_face_cache_is_larger_for_larger_spheres(radius, scale, least, most):
     points = scene.add_points(body, np.zeros((3, 3)))
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
     scene.add_contact(points, ground, material, radius=[0.0, radius, 0.0])
-    room = room_in(scene.build(device="cpu"))
-    assert least <= room <= most
-    assert room % WIDTH == 0
+    capacity = cache_capacity(scene.build(device="cpu"))
+    assert least <= capacity <= most
+    assert capacity % WIDTH == 0
 
 
 # With axis-aligned sheets, products would not be rounded.
@@ -220,9 +220,9 @@ def two_sheets(apart):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way_to_recall", ["nearest_candidate", "nearest_candidate_simd"])
+@pytest.mark.parametrize("query_name", ["nearest_candidate", "nearest_candidate_simd"])
 @pytest.mark.parametrize(("real", "epsilon"), [(wp.float32, 2.0**-23), (wp.float64, 2.0**-52)])
-def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, way_to_recall):
+def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, query_name):
     """Near an edge, rounding turns the gradient, and that error times the displacement exceeds a tie of two faces.
 
     The cache is built with its center displaced along the edge of one sheet, and queried at its center. There both
@@ -233,10 +233,10 @@ def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, way_
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
     cache_faces_near, point_functions = bvh_search.functions(real).cache_faces_near, closest_points.functions(real)
     closest_on_face, nearer = point_functions.closest_on_face, point_functions.closer
-    recall_it = getattr(face_cache.functions(real), way_to_recall)
+    query_cache = getattr(face_cache.functions(real), query_name)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def list_and_recall(
+    def build_and_query(
         model: model_type,
         cache: cache_type,
         places: wp.array(dtype=vec3),
@@ -249,7 +249,7 @@ def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, way_
         cache_faces_near(model, 0, p, closest_on_face(model, edge, p), cache, 0, contact)
         q = cache.list_center[0, contact]
         cache.nearest[0, contact] = 1 - edge
-        answer = recall_it(model, 0, cache, 0, contact, q, real(0.0))
+        answer = query_cache(model, 0, cache, 0, contact, q, real(0.0))
         found[contact] = answer.closest.row
         if not answer.valid:
             found[contact] = -1
@@ -273,7 +273,7 @@ def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, way_
     cache.uncached_bound.fill_(10.0)
     places = wp.array(points, dtype=vec3, device="cpu")
     found, right = (wp.zeros(count, dtype=wp.int32, device="cpu") for _ in range(2))
-    wp.launch(list_and_recall, count, [own.model, cache, places, 0, found, right], device="cpu")
+    wp.launch(build_and_query, count, [own.model, cache, places, 0, found, right], device="cpu")
     ahead = cache.list_center.numpy()[0] - points
     np.testing.assert_allclose(
         ahead, [0.8 * own.model.query_mesh_skin.numpy()[0] * ASKEW[:, 0]] * count, atol=1e-6
@@ -308,9 +308,7 @@ def test_tie_between_faces_does_not_depend_on_the_search_order(real, epsilon, de
     cell_at, closest_in_cell = of_cells.cell_at, of_cells.closest_in_cell
 
     @wp.kernel(module="unique", enable_backward=False)
-    def look_into_cells(
-        model: model_type, places: wp.array(dtype=vec3), margin: real, row: wp.array(dtype=wp.int32)
-    ):
+    def query_grid(model: model_type, places: wp.array(dtype=vec3), margin: real, row: wp.array(dtype=wp.int32)):
         point = wp.tid()
         p = places[point]
         row[point] = closest_in_cell(model, cell_at(model, 0, p).faces, p, margin).row
@@ -340,12 +338,12 @@ def test_tie_between_faces_does_not_depend_on_the_search_order(real, epsilon, de
     np.testing.assert_array_equal(found, found[:, :1].repeat(sides, axis=1))
     # The face grid gives the same result; some of its searches had to restart.
     row = wp.zeros(count, dtype=wp.int32, device=device)
-    wp.launch(look_into_cells, count, [model.parts[0].arrays.model, places, 1e-4, row], device=device)
+    wp.launch(query_grid, count, [model.parts[0].arrays.model, places, 1e-4, row], device=device)
     np.testing.assert_array_equal(row.numpy(), found[:, 0])
 
 
 @pytest.mark.parametrize(
-    "ways_to_recall",
+    "query_names",
     [
         pytest.param(("nearest_candidate", "cached_nearest"), id="threads"),
         pytest.param(("nearest_candidate_simd", "nearest_candidate_simd"), id="core", marks=pytest.mark.slow),
@@ -369,7 +367,7 @@ def test_tie_between_faces_does_not_depend_on_the_search_order(real, epsilon, de
     ids=["terrain", "sheets"],
 )
 def test_certified_face_of_the_cache_is_the_nearest(
-    mesh, axes, low, high, displacement, rivals, real, ways_to_recall
+    mesh, axes, low, high, displacement, rivals, real, query_names
 ):
     """Points move twice: to where the whole cache is tested, then farther, to where one or few faces are
     certified.
@@ -381,11 +379,11 @@ def test_certified_face_of_the_cache_is_the_nearest(
     of_search, point_functions = search.functions(real), closest_points.functions(real)
     closest_on_face, refine_closest = point_functions.closest_on_face, of_search.refine_closest
     cache_faces_near = bvh_search.functions(real).cache_faces_near
-    by_tree, to_list = "nearest_candidate_simd" in ways_to_recall, search.closest_and_cache(real, 16)
-    recall_first, recall_again = (getattr(face_cache.functions(real), name) for name in ways_to_recall)
+    uses_bvh, to_list = "nearest_candidate_simd" in query_names, search.closest_and_cache(real, 16)
+    query_first, query_again = (getattr(face_cache.functions(real), name) for name in query_names)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def look_three_times(
+    def query_three_times(
         model: model_type,
         cache: cache_type,
         begin: wp.array(dtype=vec3),
@@ -398,16 +396,16 @@ def test_certified_face_of_the_cache_is_the_nearest(
         contact = wp.tid()
         margin = real(1e-4)
         first = refine_closest(model, 0, begin[contact], closest_on_face(model, 0, begin[contact]), margin)
-        if wp.static(by_tree):
+        if wp.static(uses_bvh):
             cache_faces_near(model, 0, begin[contact], first, cache, 0, contact)
         else:
             to_list(model, 0, begin[contact], first, margin, cache, 0, contact)
         cache.nearest[0, contact] = first.row
-        answer = recall_first(model, 0, cache, 0, contact, through[contact], step)
+        answer = query_first(model, 0, cache, 0, contact, through[contact], step)
         found[contact] = -1
         if answer.valid:
             cache.nearest[0, contact] = answer.closest.row
-            answer = recall_again(model, 0, cache, 0, contact, end[contact], step)
+            answer = query_again(model, 0, cache, 0, contact, end[contact], step)
             if answer.valid:
                 found[contact] = answer.closest.row
         right[contact] = refine_closest(
@@ -428,10 +426,10 @@ def test_certified_face_of_the_cache_is_the_nearest(
     own = model.parts[0].arrays
     places = [wp.array(points, dtype=vec3, device="cpu") for points in (begin, through, end)]
     found, right = (wp.zeros(count, dtype=wp.int32, device="cpu") for _ in range(2))
-    wp.launch(look_three_times, count, [own.model, own.cache, *places, displacement, found, right], device="cpu")
+    wp.launch(query_three_times, count, [own.model, own.cache, *places, displacement, found, right], device="cpu")
     found, right = found.numpy(), right.numpy()
     known = found >= 0
     np.testing.assert_array_equal(found[known], right[known])
     assert 0.1 < known.mean() < 0.95
-    if "cached_nearest" in ways_to_recall:
+    if "cached_nearest" in query_names:
         assert own.cache.tied_count.numpy()[0][known].max() == rivals

@@ -72,7 +72,7 @@ def grids_of(scene):
     ],
     ids="-".join,
 )
-def celled(request, device):
+def sampled_grid(request, device):
     """Face vertices, device model, points with the index of their cell, host model, and whether the mesh is
     closed.
     """
@@ -129,9 +129,9 @@ def cell_face_lists(own, cell):
     return [listed[s : s + n] if f >= 0 else None for f, s, n in zip(faces, start, count, strict=True)]
 
 
-def test_face_grid_cell_lists_contain_the_nearest_faces(celled):
+def test_face_grid_cell_lists_contain_the_nearest_faces(sampled_grid):
     """A list contains all faces tied with the nearest, and few others."""
-    corners, own, points, cell, *_ = celled
+    corners, own, points, cell, *_ = sampled_grid
     lists = cell_face_lists(own, cell)
     listed = np.flatnonzero([faces is not None for faces in lists])
     assert len(listed) > 0.2 * len(points)
@@ -146,8 +146,8 @@ def test_face_grid_cell_lists_contain_the_nearest_faces(celled):
     assert np.mean(counts) < 8.0
 
 
-def test_face_grid_has_a_list_for_every_point_in_contact(celled):
-    corners, own, points, cell, model, _ = celled
+def test_face_grid_has_a_list_for_every_point_in_contact(sampled_grid):
+    corners, own, points, cell, model, _ = sampled_grid
     distance, side = distance_and_side(corners, points)
     reach = model.scene.contacts[0].radius.max() + own.query_mesh_skin.numpy()[0]
     touching = (side > 0.0) & (distance < reach)
@@ -156,8 +156,8 @@ def test_face_grid_has_a_list_for_every_point_in_contact(celled):
     assert (own.cells.numpy()["faces"][cell[touching]] >= 0).mean() > 0.995
 
 
-def test_face_grid_clearance_is_a_lower_bound_on_the_outer_side(celled):
-    corners, own, points, cell, _, closed = celled
+def test_face_grid_clearance_is_a_lower_bound_on_the_outer_side(sampled_grid):
+    corners, own, points, cell, _, closed = sampled_grid
     free = own.cells.numpy()["free"][cell]
     has_clearance = free > 0.0
     assert has_clearance.mean() > 0.1
@@ -208,8 +208,8 @@ def query(model, points):
     return free.numpy(), row.numpy(), distance.numpy()
 
 
-def test_closest_point_from_cell_list_matches_whole_surface(celled):
-    corners, _, points, _, model, _ = celled
+def test_closest_point_from_cell_list_matches_whole_surface(sampled_grid):
+    corners, _, points, _, model, _ = sampled_grid
     _, row, distance = query(model, points)
     listed = row >= 0
     assert listed.mean() > 0.2
@@ -221,8 +221,8 @@ def test_closest_point_from_cell_list_matches_whole_surface(celled):
     np.testing.assert_allclose(away, least, atol=error)
 
 
-def test_points_outside_the_face_grid_have_clearance_and_side_of_its_boundary(celled):
-    corners, own, _, _, model, closed = celled
+def test_points_outside_the_face_grid_have_clearance_and_side_of_its_boundary(sampled_grid):
+    corners, own, _, _, model, closed = sampled_grid
     counts, origin = own.query_mesh_grid.numpy()[0][:3], own.query_mesh_grid_origin.numpy()[0]
     extent = counts * own.query_mesh_cell_size.numpy()[0]
     random = np.random.default_rng(5)
@@ -326,12 +326,12 @@ def falling_points(places, mesh, height, **options):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("forget", [False, True], ids=["cached", "cache_cleared"])
-def test_points_pushed_through_a_plate_are_not_culled_by_the_face_grid(forget, monkeypatch):
+@pytest.mark.parametrize("clear_cache", [False, True], ids=["cached", "cache_cleared"])
+def test_points_pushed_through_a_plate_are_not_culled_by_the_face_grid(clear_cache, monkeypatch):
     """The center of their cluster is far away on the outer side."""
 
     def change(model):
-        if forget:
+        if clear_cache:
             model["touch.law.stiffness"] = 5.0
 
     corners = [(x, y, 0.0) for x in (-4e-3, 4e-3) for y in (-4e-3, 4e-3)]

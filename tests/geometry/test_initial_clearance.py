@@ -21,7 +21,7 @@ def surfaces(scene, kind):
     """Adds a surface; returns it with options of the contact."""
     if kind == "terrain":
         return scene.add_surface(TERRAIN, position=(0.1, 0.2, 0.3), scale=1.5), {}
-    if kind == "turned terrain":
+    if kind == "rotated terrain":
         return scene.add_surface(TERRAIN, orientation=turn(0.5, (1, 2, 0.5)), flip=True), {}
     if kind == "solid":
         return scene.add_surface(wc.meshes.icosphere(0.5), scale=0.8, position=(0.2, 0.0, -0.1)), {}
@@ -45,7 +45,7 @@ def turn(angle, axis):
 
 def points_of(scene, form):
     """Adds points or spheres; returns them with their radius."""
-    if form == "set of bodies":
+    if form == "body set":
         three = scene.add_bodies(np.zeros((3, 3)), 1.0, (1, 1, 1), name="body")
         return scene.add_points(three, np.zeros((3, 3))), 0.1
     body = scene.add_body(1.0, (1, 1, 1), name="body")
@@ -57,10 +57,10 @@ def points_of(scene, form):
     return scene.add_points(hull, wc.sample_surface(hull.mesh, 30, seed=1)), 0.02
 
 
-KINDS = ["terrain", "turned terrain", "solid", "top of a box", "container", "plate of a body", "one of two"]
+KINDS = ["terrain", "rotated terrain", "solid", "top of a box", "container", "plate of a body", "one of two"]
 
 
-@pytest.mark.parametrize("form", ["sphere", "points", "hull", "set of bodies"])
+@pytest.mark.parametrize("form", ["sphere", "points", "hull", "body set"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_initially_clear_contact_set_has_no_contacts(kind, form, device):
     scene = wc.Scene(gravity=(0, 0, 0))

@@ -58,7 +58,7 @@ def test_rotation_matrix_matches_quaternion_of_any_length(real, device):
     np.testing.assert_allclose(left, right, rtol=0, atol=100.0 * np.finfo(real).eps)
 
 
-@pytest.mark.parametrize("cached", [True, False], ids=["cached", "not"])
+@pytest.mark.parametrize("cached", [True, False], ids=["cached", "uncached"])
 @pytest.mark.parametrize("excess", [1e-4, -1e-3])
 def test_contact_of_body_with_unnormalized_quaternion_is_at_its_position(excess, cached, device):
     """A point 0.5 m off a body that is rotated by 180° about z reaches x = 0 at 1 m/s, after 0.1 m."""

@@ -13,7 +13,7 @@ def arrays_of(struct):
     return {name: one.type for name, one in struct.vars.items() if isinstance(one.type, wp.array)}
 
 
-def layout_of(instance, tell):
+def layout_of(instance, declared):
     """Returns address and strides of each array of a struct as seen by a thread, with or without declared strides."""
     struct = instance._cls
     names = arrays_of(struct)
@@ -26,16 +26,16 @@ def layout_of(instance, tell):
     @wp.func_native("\n".join(lines))
     def report(one: wp.ref[struct], out: wp.array(dtype=wp.int64)): ...
 
-    told = assume_strides(struct)
+    assume = assume_strides(struct)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def look(one: struct, out: wp.array(dtype=wp.int64)):
-        if wp.static(tell):
-            told(one)
+    def record_layout(one: struct, out: wp.array(dtype=wp.int64)):
+        if wp.static(declared):
+            assume(one)
         report(one, out)
 
     out = wp.zeros(3 * len(names), dtype=wp.int64, device="cpu")
-    wp.launch(look, 1, [instance, out], device="cpu")
+    wp.launch(record_layout, 1, [instance, out], device="cpu")
     return dict(zip(names, out.numpy().reshape(-1, 3), strict=True))
 
 
@@ -54,15 +54,15 @@ def boxes_with_friction(scene, ground):
         scene.add_contact(scene.add_points(box, rng.uniform(-0.1, 0.1, (40, 3))), ground, material)
 
 
-def nothing_that_touches(scene, _):
+def no_contacts(scene, _):
     scene.add_body(mass=1.0, inertia=(0.1, 0.1, 0.1))
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("celled", [False, True])
-@pytest.mark.parametrize("fill", [one_sphere, boxes_with_friction, nothing_that_touches])
-def test_array_strides_match_the_declared_layout(fill, celled, precision, monkeypatch):
-    if celled:
+@pytest.mark.parametrize("use_face_grids", [False, True])
+@pytest.mark.parametrize("fill", [one_sphere, boxes_with_friction, no_contacts])
+def test_array_strides_match_the_declared_layout(fill, use_face_grids, precision, monkeypatch):
+    if use_face_grids:
         build_all_face_grids(monkeypatch)
     scene = wc.Scene()
     fill(scene, scene.add_surface(wc.meshes.sinusoidal_terrain((2, 2), (10, 10), 0.1, 1.0)))
@@ -81,7 +81,7 @@ def test_array_strides_match_the_declared_layout(fill, celled, precision, monkey
     ]
     instances += [group.coefficients for group in model.groups]
     for instance in instances:
-        found, told = layout_of(instance, False), layout_of(instance, True)
+        actual, declared = layout_of(instance, False), layout_of(instance, True)
         for name, kind in arrays_of(instance._cls).items():
             array = getattr(instance, name)
             if array is None or not array.size:
@@ -91,7 +91,7 @@ def test_array_strides_match_the_declared_layout(fill, celled, precision, monkey
             leads = [False, False, False]
             leads[0] = True
             leads[1 : 1 + kind.ndim] = [length > 1 for length in array.shape]
-            assert found[name][leads].tolist() == told[name][leads].tolist(), key
+            assert actual[name][leads].tolist() == declared[name][leads].tolist(), key
 
 
 def test_arrays_read_together_are_adjacent_in_memory():

@@ -26,9 +26,9 @@ def test_too_many_environments_are_refused_before_allocation(device, monkeypatch
     assert caught.value.needed > caught.value.available == int(0.85 * 400 * MIB)
     # This number fits, and one more does not.
     draft = plan_model(ball_scene(), device)
-    rooms = memory_estimate.available_memory_for(draft.memory(1))
-    assert memory_estimate.shortage(draft.memory(most, capture_graphs=False), rooms) is None
-    assert memory_estimate.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
+    available = memory_estimate.available_memory_for(draft.memory(1))
+    assert memory_estimate.shortage(draft.memory(most, capture_graphs=False), available) is None
+    assert memory_estimate.shortage(draft.memory(most + 1, capture_graphs=False), available) is not None
     set_available_memory(monkeypatch, 100_000)
     with pytest.raises(MemoryError, match="not even one environment fits"):
         ball_scene().build(1, device)
@@ -44,8 +44,8 @@ def test_memory_error_names_the_device_with_too_little_memory(monkeypatch):
             for name, size in (("cuda:0", 2 * MIB), ("cuda:1", MIB))
         )
 
-    rooms = {"cuda:0": 200 * MIB, "cuda:1": 20 * MIB}
-    monkeypatch.setattr(resources, "_device", rooms.get)
+    available = {"cuda:0": 200 * MIB, "cuda:1": 20 * MIB}
+    monkeypatch.setattr(resources, "_device", available.get)
     with pytest.raises(MemoryError) as caught:
         memory_estimate.require(split, 100)
     assert str(caught.value) == (
@@ -61,10 +61,10 @@ def test_split_model_is_refused_before_allocation(device, monkeypatch, counting_
         ball_scene().build(10_000_000, [device] * 2)
     assert counting_allocator.used == 0
     draft = plan_model(ball_scene(), [device] * 2)
-    rooms = memory_estimate.available_memory_for(draft.memory(1))
+    available = memory_estimate.available_memory_for(draft.memory(1))
     most = caught.value.max_envs
-    assert memory_estimate.shortage(draft.memory(most, capture_graphs=False), rooms) is None
-    assert memory_estimate.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
+    assert memory_estimate.shortage(draft.memory(most, capture_graphs=False), available) is None
+    assert memory_estimate.shortage(draft.memory(most + 1, capture_graphs=False), available) is not None
 
 
 def test_simulation_is_refused_before_allocation_of_step_buffers(monkeypatch):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from case_marks import slow_except
-from memory_scenes import MIB, SCENES, array_bytes, ball_scene, busy_scene, set_available_memory
+from memory_scenes import MIB, SCENES, array_bytes, ball_scene, mixed_scene, set_available_memory
 from scenes import dropped_sphere
 
 import warpcontact as wc
@@ -22,7 +22,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "terrain_drop.toml"
 
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", slow_except(SCENES, lambda name: name in ("busy", "pile")))
+@pytest.mark.parametrize("name", slow_except(SCENES, lambda name: name in ("mixed", "particles")))
 def test_memory_estimate_equals_allocated_arrays(name, precision, device, counting_allocator):
     scene = SCENES[name]()
     envs = 13
@@ -49,14 +49,14 @@ def test_memory_estimate_equals_allocated_arrays(name, precision, device, counti
         varied += ["touch.law.stiffness", "ground.scale", "centre.position"]
         model.sensor("touch.point")
         needs.add("points")
-    if name == "coupled":
+    if name == "couplings":
         model["spring.rest_length"] = mass
         model["body_1.motion.amplitude"] = mass
         varied += ["spring.rest_length", "body_1.motion.amplitude"]
         for sensor in ("body_0.reaction_force", "body_2.displacement", "keep.force"):
             model.sensor(sensor)
         needs |= {"reactions", "coordinates", "contact_couplings"}
-    if name == "smooth":
+    if name == "shape contacts":
         model["egg.semi_axes"] = np.linspace(0.1, 0.3, 3 * envs).reshape(envs, 3)
         model["lie.law.modulus"] = 1e8 * mass[:, None] * np.ones(3)
         varied += ["egg.semi_axes", "lie.law.modulus"]
@@ -74,7 +74,7 @@ def test_memory_estimate_equals_allocated_arrays(name, precision, device, counti
 
 
 def test_memory_estimate_of_split_model_is_the_sum_of_its_parts(device, counting_allocator):
-    scene, envs, where = busy_scene(), 14, [device] * 3
+    scene, envs, where = mixed_scene(), 14, [device] * 3
     planned = plan_model(scene, where).memory(envs)
     gc.collect()
     counting_allocator.used = 0
@@ -114,7 +114,7 @@ def test_memory_estimate_counts_launches_of_each_thread_and_part():
 
 
 def test_memory_per_environment_matches_estimate(device):
-    draft = plan_model(busy_scene(), device)
+    draft = plan_model(mixed_scene(), device)
     one, other = draft.memory(256 * 1000, ["ball.mass"]), draft.memory(256 * 1001, ["ball.mass"])
     added = other.device_bytes + other.host_bytes - one.device_bytes - one.host_bytes
     assert added == pytest.approx(256 * one.bytes_per_env, rel=0.02)
@@ -161,9 +161,9 @@ def test_bytes_are_formatted_with_units(size, text):
 
 
 def test_memory_estimate_without_capture_includes_no_graphs(device):
-    draft = plan_model(busy_scene(), device)
+    draft = plan_model(mixed_scene(), device)
     assert draft.memory(9, crossing_substeps=4).bytes_for("launches") < draft.memory(9).bytes_for("launches")
-    model = busy_scene().build(9, device)
+    model = mixed_scene().build(9, device)
     sim = wc.Simulation(model, dt=1e-4, crossing_substeps=4)
     assert sim.memory().bytes_for("launches") == draft.memory(9, crossing_substeps=4).bytes_for("launches")
 

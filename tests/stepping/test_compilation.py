@@ -66,7 +66,7 @@ def test_each_kernel_is_compiled_once_and_in_one_thread_if_single_threaded():
     load_all([], CPU, 3)
 
 
-@pytest.mark.parametrize("place", [0, 1], ids=["in this thread", "in another"])
+@pytest.mark.parametrize("place", [0, 1], ids=["same thread", "another thread"])
 def test_compilation_error_is_raised_and_stops_further_compilation(place):
     begun, failed, more = threading.Event(), threading.Event(), []
 
@@ -105,7 +105,7 @@ threading.Thread(target=late).start()
     assert "1 step" in ended.stdout, ended.stderr
 
 
-def heap():
+def particles():
     scene = wc.Scene()
     balls()(scene)
     return wc.Simulation(scene.build(envs=3, device="cpu"), dt=1e-3)
@@ -121,13 +121,13 @@ def bodies():
     return wc.Simulation(two_bodies().build(envs=3, device="cpu"), dt=1e-3, outcomes=outcomes)
 
 
-def hard():
+def nonsmooth():
     integrator = wc.integrators.MoreauJean()
     return wc.Simulation(block(0.3, envs=3, device="cpu"), dt=1e-3, integrator=integrator)
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("make", [heap, crossing, bodies, hard])
+@pytest.mark.parametrize("make", [particles, crossing, bodies, nonsmooth])
 def test_all_step_and_frame_kernels_are_precompiled(make, monkeypatch):
     compiled = set()
 

@@ -45,21 +45,21 @@ def test_crossing_step_is_resolved_in_substeps(precision, device):
 
 
 @PRECISIONS
-@pytest.mark.parametrize("whole", [0.1, 0.3])
-def test_bounce_with_substeps_gains_negligible_energy(whole, precision, device):
-    """Energy error for ω dt = ``whole``: of its square at separation, of the square of the substep at the impact."""
+@pytest.mark.parametrize("omega_dt", [0.1, 0.3])
+def test_bounce_with_substeps_gains_negligible_energy(omega_dt, precision, device):
+    """Energy error for ω dt = ``omega_dt``: of its square at separation, of the square of the substep at the impact."""
     start = np.column_stack([np.zeros((64, 2)), np.linspace(0.02, 0.12, 64)])
     velocity = np.tile([0.0, 0.0, -10.0], (64, 1))
     for parts in (1, 4, 16):
         sim = shoot_balls(
             difficult_meshes.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=parts,
-            law=wc.laws.Hooke(stiffness=(whole / 1e-2) ** 2),
+            law=wc.laws.Hooke(stiffness=(omega_dt / 1e-2) ** 2),
         )  # fmt: skip
-        sim.step(14 + round(4 / whole))
+        sim.step(14 + round(4 / omega_dt))
         gain = (sim.model.sensor("ball.linear_velocity")[:, 2] / 10.0) ** 2 - 1
         # The force starts and ends up to a step h late. The error is at most k (v h)²/8 of the energy m v²/2.
-        assert gain.min() > -0.25 * (whole / parts) ** 2 - 1e-6
-        assert gain.max() < 0.25 * whole**2 + 1e-4
+        assert gain.min() > -0.25 * (omega_dt / parts) ** 2 - 1e-6
+        assert gain.max() < 0.25 * omega_dt**2 + 1e-4
 
 
 @PRECISIONS
@@ -170,12 +170,12 @@ def test_two_simulations_of_one_model_can_alternate_with_substeps(precision, dev
     one = shoot_balls(
         difficult_meshes.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=3
     )
-    whole = [one.model.sensor(name) for _ in [one.step(16)] for name in STATE]
+    omega_dt = [one.model.sensor(name) for _ in [one.step(16)] for name in STATE]
     other = wc.Simulation(one.model, dt=1e-2, crossing_substeps=3)
     one.reset()
     for turn in range(16):
         (one if turn % 3 else other).step()
-    for expected, name in zip(whole, STATE, strict=True):
+    for expected, name in zip(omega_dt, STATE, strict=True):
         np.testing.assert_array_equal(one.model.sensor(name), expected)
 
 
@@ -190,5 +190,5 @@ def test_invalid_number_of_substeps_is_refused(wrong, device):
         device=device,
         law=SPRING,
     ).model
-    with pytest.raises(ValueError, match=r"crossing_substeps must be a whole number of at least 1"):
+    with pytest.raises(ValueError, match=r"crossing_substeps must be a omega_dt number of at least 1"):
         wc.Simulation(model, dt=1e-3, crossing_substeps=wrong)

@@ -44,7 +44,7 @@ def two_laws(scene):
 MANY = {"balls": balls(), "balls that stick": balls(STUCK), "two laws": two_laws}
 
 
-def taken(make, device, precision, *, at_once, asks):
+def run_model(make, device, precision, *, fused, monitored):
     """Returns states, and contact sensors between steps, of steps with or without the fused contact kernel."""
     scene = wc.Scene()
     make(scene)
@@ -54,19 +54,19 @@ def taken(make, device, precision, *, at_once, asks):
     model["body.linear_velocity"] = velocity + rng.normal(0, 0.7, (ENVS, *velocity.shape[1:]))
     sim = wc.Simulation(model, dt=1e-3, deterministic=True)
     names = [f"{contact.name}.{key}" for contact in scene.contacts for key in ZERO_WITHOUT_CONTACT]
-    seen = []
+    sensors = []
     for _ in range(6):
         sim.step(97)
-        if asks:
+        if monitored:
             # Evaluated sensors become cached data, also for contacts that cannot touch yet.
-            seen += [model.sensor(name) for name in names]
+            sensors += [model.sensor(name) for name in names]
     assert any((model.sensor(name) > 0).any() for name in names if name.endswith("normal_force"))
     kernels = {launch.kernel.key.split("__")[-1] for launch in sim._prepared[1]._steppers[0]._steps[0].full}
-    assert at_once == bool(kernels & {"update_sets", "fused_in_grid", "fused_steps"}), kernels
-    return [model.sensor(f"body.{key}") for key in STATE], seen
+    assert fused == bool(kernels & {"update_sets", "fused_in_grid", "fused_steps"}), kernels
+    return [model.sensor(f"body.{key}") for key in STATE], sensors
 
 
-@pytest.mark.parametrize("asks", [False, True], ids=["not_monitored", "monitored"])
+@pytest.mark.parametrize("monitored", [False, True], ids=["not_monitored", "monitored"])
 @pytest.mark.parametrize(
     ("name", "precision"),
     [
@@ -78,40 +78,40 @@ def taken(make, device, precision, *, at_once, asks):
         ),
     ],
 )
-def test_fused_contact_on_cpu_equals_staged_contact(name, precision, asks, monkeypatch):
+def test_fused_contact_on_cpu_equals_staged_contact(name, precision, monitored, monkeypatch):
     make = {**SINGLE_BODY_SCENES, **MANY}[name]
-    states, seen = taken(make, "cpu", precision, at_once=True, asks=asks)
+    states, sensors = run_model(make, "cpu", precision, fused=True, monitored=monitored)
     monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
-    others, also = taken(make, "cpu", precision, at_once=False, asks=asks)
-    for left, right in zip(states + seen, others + also, strict=True):
+    others, also = run_model(make, "cpu", precision, fused=False, monitored=monitored)
+    for left, right in zip(states + sensors, others + also, strict=True):
         np.testing.assert_array_equal(left, right)
 
 
-@pytest.mark.parametrize("asks", [False, True], ids=["not_monitored", "monitored"])
+@pytest.mark.parametrize("monitored", [False, True], ids=["not_monitored", "monitored"])
 @pytest.mark.parametrize("few", [131072, 0], ids=["few", "many"])
 @pytest.mark.parametrize(
     "name", slow_except(["balls", "balls that stick"], lambda name: name == "balls that stick")
 )
-def test_fused_contact_on_gpu_equals_staged_contact(name, few, asks, monkeypatch, device):
+def test_fused_contact_on_gpu_equals_staged_contact(name, few, monitored, monkeypatch, device):
     if device == "cpu":
         build_all_face_grids(monkeypatch)
         use_work_queues(monkeypatch)
     monkeypatch.setattr("warpcontact.forces.execution_plan.SMALL_LAUNCH", few)
-    states, seen = taken(MANY[name], device, "float32", at_once=True, asks=asks)
+    states, sensors = run_model(MANY[name], device, "float32", fused=True, monitored=monitored)
     monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
-    others, also = taken(MANY[name], device, "float32", at_once=False, asks=asks)
-    for left, right in zip(states + seen, others + also, strict=True):
+    others, also = run_model(MANY[name], device, "float32", fused=False, monitored=monitored)
+    for left, right in zip(states + sensors, others + also, strict=True):
         np.testing.assert_array_equal(left, right)
 
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("at_once", [True, False])
-def test_culling_of_many_contacts_on_gpu_matches_few_contacts(at_once, precision, monkeypatch, device):
+@pytest.mark.parametrize("fused", [True, False])
+def test_culling_of_many_contacts_on_gpu_matches_few_contacts(fused, precision, monkeypatch, device):
     """Results equal those of few contacts, whose gap is evaluated in each step; larger radii clear the cache."""
     if device == "cpu":
         build_all_face_grids(monkeypatch)
         use_work_queues(monkeypatch)
-    if not at_once:
+    if not fused:
         monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
     ends = []
     for few in (131072, 0):

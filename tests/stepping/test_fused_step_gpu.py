@@ -59,14 +59,14 @@ def carries_the_surface(scene):
 
 
 SINGLE_BODY_SCENES = {
-    "a sphere": box(1, radius=0.09),
-    "a few points": box(6),
+    "sphere": box(1, radius=0.09),
+    "few points": box(6),
     "points in clusters": box(60),
     "with history": box(20, STUCK),
-    "a sphere with history": box(1, STUCK, radius=0.09),
-    "a pushed box": box(12, external_force=(1.0, 0.0, 0.5), external_torque=(0.0, 0.02, 0.0)),
-    "a box with areas": weighed,
-    "a body that carries the surface": carries_the_surface,
+    "sphere with history": box(1, STUCK, radius=0.09),
+    "box with external force": box(12, external_force=(1.0, 0.0, 0.5), external_torque=(0.0, 0.02, 0.0)),
+    "box with area weights": weighed,
+    "body with the surface": carries_the_surface,
 }
 
 
@@ -118,10 +118,10 @@ def fused_launches(monkeypatch, device):
     slow_except(
         [
             *((name, "float32") for name in SINGLE_BODY_SCENES),
-            ("a sphere", "float64"),
+            ("sphere", "float64"),
             ("points in clusters", "float64"),
         ],
-        lambda case: case in [(name, "float32") for name in ("a sphere", "points in clusters", "with history")],
+        lambda case: case in [(name, "float32") for name in ("sphere", "points in clusters", "with history")],
     ),
 )
 def test_fused_step_equals_staged_step(name, precision, device, fused_launches, monkeypatch):
@@ -148,7 +148,7 @@ def test_fused_step_equals_staged_step(name, precision, device, fused_launches, 
 @pytest.mark.parametrize("few", [True, False], ids=["small", "large"])
 @pytest.mark.parametrize(
     "name",
-    slow_except(["a sphere", "points in clusters", "with history"], lambda name: name == "points in clusters"),
+    slow_except(["sphere", "points in clusters", "with history"], lambda name: name == "points in clusters"),
 )
 def test_fused_and_monitored_steps_can_alternate(name, few, device, fused_launches, monkeypatch):
     """Both variants maintain distances and contact history for each other; monitors see no outdated contacts."""
@@ -236,7 +236,7 @@ def test_failed_fused_step_keeps_last_valid_state(device, fused_launches):
 
 
 def two_bodies(scene):
-    SINGLE_BODY_SCENES["a few points"](scene)
+    SINGLE_BODY_SCENES["few points"](scene)
     scene.add_body(1.0, (1e-3, 1e-3, 1e-3), name="other")
 
 
@@ -245,14 +245,14 @@ def on_a_hinge(scene):
 
 
 def on_a_spring(scene):
-    SINGLE_BODY_SCENES["a few points"](scene)
+    SINGLE_BODY_SCENES["few points"](scene)
     body = scene.bodies[0]
     ends = (scene.add_point(body, (0, 0, 0)), scene.add_point(None, (0, 0, 2)))
     scene.add_spring_damper(*ends, stiffness=10.0, damping=1.0, rest_length=1.0, name="spring")
 
 
 def on_two_surfaces(scene):
-    SINGLE_BODY_SCENES["a few points"](scene)
+    SINGLE_BODY_SCENES["few points"](scene)
     wall = scene.add_surface(wc.meshes.grid((4, 4), (3, 3)), position=(0, 0, -1), name="wall")
     scene.add_contact(scene.points[0], wall, MATERIAL, name="second")
 

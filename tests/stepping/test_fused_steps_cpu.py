@@ -40,7 +40,7 @@ def kernels_of(sim):
     [
         *((name, "float32") for name in SINGLE_BODY_SCENES),
         ("points in clusters", "float64"),
-        pytest.param("a sphere with history", "float64", marks=pytest.mark.slow),
+        pytest.param("sphere with history", "float64", marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.parametrize("graphs", [True, False], ids=["graphs", "launches"])
@@ -67,17 +67,17 @@ def test_fused_steps_equal_staged_steps(name, precision, graphs, monkeypatch):
     assert "fused_steps" not in kernels_of(staged)
     stepper = stepper_of(sim)
     # One graph serves any number of steps.
-    assert {way for way, _ in stepper._graphs} == ({StepChunk(1)} if graphs else set())
+    assert {chunk for chunk, _ in stepper._graphs} == ({StepChunk(1)} if graphs else set())
     assert len(stepper._steps[0].full) == 1
 
 
 def test_failed_environment_in_fused_steps_keeps_its_state_and_others_continue(monkeypatch):
     found = []
-    for in_place in (True, False):
+    for fused in (True, False):
         with monkeypatch.context() as patch:
-            if not in_place:
+            if not fused:
                 patch.setattr(ExecutionPlan, "fuses_steps", False)
-            model = built(SINGLE_BODY_SCENES["a pushed box"], "cpu")
+            model = built(SINGLE_BODY_SCENES["box with external force"], "cpu")
             sim = wc.Simulation(model, dt=1e-3)
             sim.step(100)
             force = model["body.external_force"]
@@ -107,13 +107,13 @@ def test_frames_of_fused_steps_have_every_recorded_step(every, monkeypatch):
     stepper, own = recorded()
     assert names_of(stepper._steps[0].full) == ["fused_steps"]
     # The step after a frame uses the contact candidates of its evaluation.
-    after_look = names_of(stepper._step_after_evaluation)
-    assert "fused_steps" not in after_look
-    assert after_look[-1] == "copy_state"
+    after_frame = names_of(stepper._step_after_evaluation)
+    assert "fused_steps" not in after_frame
+    assert after_frame[-1] == "copy_state"
     # All other steps are one launch. With 70 steps per frame, the frame is delivered before the next step begins.
-    known = {way for way, _ in stepper._graphs if way.after_evaluation}
-    assert (StepChunk(min(every, 2), after_evaluation=True, evaluates=True) in known) == (every < 70)
-    assert all(names_of(stepper.graph(way)).count("fused_steps") == (way.steps > 1) for way in known)
+    chunks = {chunk for chunk, _ in stepper._graphs if chunk.after_evaluation}
+    assert (StepChunk(min(every, 2), after_evaluation=True, evaluates=True) in chunks) == (every < 70)
+    assert all(names_of(stepper.graph(chunk)).count("fused_steps") == (chunk.steps > 1) for chunk in chunks)
     monkeypatch.setattr(ExecutionPlan, "fuses_steps", False)
     assert_same(own, recorded()[1])
 

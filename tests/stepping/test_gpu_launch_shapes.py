@@ -342,10 +342,12 @@ def history_of(sim):
                 continue
             values = getattr(group.history_in, part).numpy()
             found |= {f"history of {part} {number}: {field}": values[field] for field in values.dtype.names}
-    for pile in model.particle_contact_sets:
-        closed = (pile.pair_records.flags.numpy() & WAS_IN_CONTACT) != 0
-        found[f"{pile.contact.name} closed"] = closed
-        found[f"{pile.contact.name} entry_speed"] = np.where(closed, pile.pair_records.entry_speed.numpy(), -1.0)
+    for contact_set in model.particle_contact_sets:
+        closed = (contact_set.pair_records.flags.numpy() & WAS_IN_CONTACT) != 0
+        found[f"{contact_set.contact.name} closed"] = closed
+        found[f"{contact_set.contact.name} entry_speed"] = np.where(
+            closed, contact_set.pair_records.entry_speed.numpy(), -1.0
+        )
     return {name: array.copy() for name, array in found.items()}
 
 

@@ -20,7 +20,7 @@ def sim():
     return made
 
 
-def aside(work):
+def start_thread(work):
     """Starts ``work`` in a separate thread."""
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
@@ -42,7 +42,7 @@ def aside(work):
 )
 def test_stepping_thread_waits_for_graph_capture(work, sim):
     with exclusive_capture_lock():
-        thread = aside(lambda: work(sim))
+        thread = start_thread(lambda: work(sim))
         thread.join(LONG)
         waits = thread.is_alive()
     thread.join()
@@ -52,7 +52,7 @@ def test_stepping_thread_waits_for_graph_capture(work, sim):
 def test_graph_capture_waits_for_stepping_thread(sim):
     captured = wc.Simulation(sim.model, dt=1e-3)
     with shared_capture_lock():
-        thread = aside(captured.step)
+        thread = start_thread(captured.step)
         thread.join(LONG)
         waits = thread.is_alive()
     thread.join()
@@ -63,7 +63,7 @@ def test_graph_replay_does_not_wait_for_capture(sim):
     captured = wc.Simulation(sim.model, dt=1e-3)
     captured.step(8)
     with exclusive_capture_lock():
-        thread = aside(lambda: captured.step(16))
+        thread = start_thread(lambda: captured.step(16))
         thread.join(60.0)
         assert not thread.is_alive()
     with shared_capture_lock():

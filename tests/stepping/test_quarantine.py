@@ -174,8 +174,8 @@ def test_unknown_quarantine_policy_is_refused():
         wc.Simulation(falling(1), DT, quarantine="explode")
 
 
-@pytest.mark.parametrize("look", [False, True], ids=["step", "evaluation_first"])
-def test_reset_environment_has_no_wrenches_of_its_failure(look, device):
+@pytest.mark.parametrize("evaluate", [False, True], ids=["step", "evaluation_first"])
+def test_reset_environment_has_no_wrenches_of_its_failure(evaluate, device):
     """Moreau–Jean steps prescribe the motion of driven bodies before they compute wrenches."""
     scene = wc.Scene()
     motion = wc.motions.Harmonic(direction=(1.0, 0.0, 0.0), amplitude=0.02, frequency=1.0)
@@ -194,7 +194,7 @@ def test_reset_environment_has_no_wrenches_of_its_failure(look, device):
     model["touch.law.damping"] = 20.0
     model["ball.linear_velocity"] = (0.0, 0.0, 0.0)
     sim.reset()
-    if look:
+    if evaluate:
         model.sensor("touch.normal_force")
     sim.step(3)
     assert model.health().good

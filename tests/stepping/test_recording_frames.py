@@ -6,13 +6,13 @@ import memory_scenes
 import numpy as np
 import pytest
 import warp as wp
-from test_particle_force_sums import heap
+from test_particle_force_sums import particle_scene
 from test_step_schedules import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
 from warpcontact.forces import execution_plan
 from warpcontact.forces.execution_plan import ExecutionPlan, force_stages
-from warpcontact.model import sensor_evaluation as looks
+from warpcontact.model import sensor_evaluation
 from warpcontact.model.model import ZERO_WITHOUT_CONTACT
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, check_needs
 from warpcontact.stepping import requirements, slice_stepper, worker_pool
@@ -39,14 +39,14 @@ def simulation(name, device, precision="float32", **options):
 def evaluate_uncached(model):
     """Evaluates contacts with the cache cleared; restores the cache afterwards."""
     cache = model.arrays.cache
-    kept = [(known, wp.clone(known)) for known in (cache.face_count, cache.nearest)]
+    kept = [(array, wp.clone(array)) for array in (cache.face_count, cache.nearest)]
     cache.face_count.zero_()
     cache.nearest.fill_(-1)
     plan = ExecutionPlan(model, model.envs, uses_cache=False, ordered_sum=True)
     for launch in force_stages(plan, model.arrays.state, model.zero_step, model.active_status):
         launch.launch()
-    for known, before in kept:
-        wp.copy(known, before)
+    for array, before in kept:
+        wp.copy(array, before)
 
 
 def assert_equal(model, names, seen):
@@ -173,7 +173,7 @@ def test_steps_after_frames_are_captured_as_graphs(device):
 
     def captured():
         _, made = sim._prepared
-        return {way for stepper in made._steppers for way, _ in stepper._graphs}
+        return {chunk for stepper in made._steppers for chunk, _ in stepper._graphs}
 
     # On a GPU a frame is evaluated when it is complete, and eight steps are four replays of two.
     on_cpu = sim.model.device.is_cpu
@@ -222,16 +222,16 @@ def test_successive_recordings_have_their_own_frames(device):
 def test_evaluation_needs_cover_all_sensors(device):
     models = [make().build(device=device) for make in memory_scenes.SCENES.values()]
     needs = {need for model in models for sensor in model.parts[0].sensors.values() for need in sensor.needs}
-    assert check_needs(needs) == needs == looks.ALL_NEEDS
+    assert check_needs(needs) == needs == sensor_evaluation.ALL_NEEDS
 
 
-@pytest.mark.parametrize("name", ["two bodies", "hard", "heap"])
+@pytest.mark.parametrize("name", ["two bodies", "nonsmooth", "particles"])
 def test_contact_evaluation_does_not_accumulate_wrenches(name, device):
     """If a frame excludes their sensor, wrenches are unchanged or recomputed, never accumulated."""
-    model = (heap if name == "heap" else SCENES["two bodies"])().build(envs=ENVS, device=device)
-    if name != "heap":
+    model = (particle_scene if name == "particles" else SCENES["two bodies"])().build(envs=ENVS, device=device)
+    if name != "particles":
         start(model)
-    integrator = wc.integrators.MoreauJean() if name == "hard" else None
+    integrator = wc.integrators.MoreauJean() if name == "nonsmooth" else None
     wc.Simulation(model, dt=1e-3, integrator=integrator).step(300)
     wrenches = model.parts[0].arrays.wrenches
     model.evaluate_needs({"wrenches"})
@@ -287,14 +287,14 @@ def test_recorders_with_equal_needs_share_one_capture(device):
         assert {(frame, frozenset(recorder.needs)), (eight, frozenset())} <= replayed[1].keys()
         stepper = sim._prepared[1]._steppers[0]
         # The first of ten steps skips the broad phase.
-        for way, looks in ((frame, 9), (eight, 8)):
-            kernels = [launch.kernel.key for launch in stepper.graph(way)]
-            looking, launches = (
+        for chunk, detections in ((frame, 9), (eight, 8)):
+            kernels = [launch.kernel.key for launch in stepper.graph(chunk)]
+            kernel_name, launches = (
                 ("update_sets", len(sim.model.groups)) if execution_plan.FUSE_STAGES else ("closest_point", 1)
             )
             # With staged kernels, the evaluation of the frame uses the same kernel as a step.
-            evaluations = 0 if execution_plan.FUSE_STAGES else int(way.evaluates)
-            assert sum(looking in name for name in kernels) == looks * launches + evaluations
+            evaluations = 0 if execution_plan.FUSE_STAGES else int(chunk.evaluates)
+            assert sum(kernel_name in name for name in kernels) == detections * launches + evaluations
 
 
 def test_evaluation_launches_wait_for_capture_in_another_thread(device):
@@ -302,11 +302,11 @@ def test_evaluation_launches_wait_for_capture_in_another_thread(device):
     sim.step(8)
     stepper = sim._prepared[1]._steppers[0]
     needs = frozenset(("contacts",))
-    works = [lambda: sim.model.parts[0].evaluation_launches(needs)]
+    preparations = [lambda: sim.model.parts[0].evaluation_launches(needs)]
     if sim.model.device.is_cpu:
         # On a GPU no step reuses contact candidates of an evaluation.
-        works.append(lambda: stepper.prepare_step_after_evaluation(needs))
-    for prepare in works:
+        preparations.append(lambda: stepper.prepare_step_after_evaluation(needs))
+    for prepare in preparations:
         ended = threading.Event()
         waiting = threading.Thread(target=lambda work=prepare, end=ended: (work(), end.set()))
         with exclusive_capture_lock():

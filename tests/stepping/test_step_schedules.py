@@ -98,25 +98,25 @@ FINE = wc.meshes.sinusoidal_terrain((3, 3), (50, 50), amplitude=0.05, wavelength
 SCENES = {
     "sphere on terrain": terrain_with([[0.02, 0.01, 0.0]], radius=0.08),
     "box of points on terrain": terrain_with(cloud(60, 0.2)),
-    "one with a limited depth": terrain_with(cloud(20, 0.2), max_depth=0.05),
+    "limited penetration": terrain_with(cloud(20, 0.2), max_depth=0.05),
     "small search radius": terrain_with(cloud(20, 0.2), radius=0.01, search_radius=0.06),
     "on a ball": falling_on(SHELL),
-    "on a mesh in another unit": falling_on(wc.meshes.icosphere(4.0, 3), surface={"scale": 0.1}),
+    "on a scaled mesh": falling_on(wc.meshes.icosphere(4.0, 3), surface={"scale": 0.1}),
     "on the inner side of a ball": falling_on(SHELL.flipped(), height=0.1),
-    "beside a plate": falling_on(PLATE),
-    "over the boundary": falling_on(PLATE, boundary="outer"),
+    "next to a plate": falling_on(PLATE),
+    "across the boundary": falling_on(PLATE, boundary="outer"),
     "latched": falling_on(PLATE, entry="latched"),
     "latched on a ball": falling_on(SHELL, entry="latched"),
     "latched with small search radius": falling_on(SHELL, entry="latched", search_radius=0.15),
     "swept": falling_on(SHELL, swept=True),
-    "a fold that hides a side": falling_on(FOLDED),
+    "folded surface": falling_on(FOLDED),
     "partly active": falling_on(SHELL, surface=half_active(SHELL)),
-    "the active part": falling_on(SHELL, surface=half_active(SHELL), search="active"),
+    "search in active faces": falling_on(SHELL, surface=half_active(SHELL), search="active"),
     "with history": falling_on(SHELL, material=STUCK),
     "two bodies": two_bodies,
     # Face caches of up to 25 and up to 48 faces; the latter are too small.
-    "a sphere of 3 edges": falling_on(FINE, radius=0.18),
-    "a sphere of 8 edges": falling_on(FINE, radius=0.48),
+    "sphere of 3 edge lengths": falling_on(FINE, radius=0.18),
+    "sphere of 8 edge lengths": falling_on(FINE, radius=0.48),
 }
 
 
@@ -146,7 +146,7 @@ def run(name, precision, device, *, steps=700, envs=ENVS, **options):
 
 
 @functools.cache
-def usual_run(name, precision):
+def cpu_run(name, precision):
     """Returns the states of a run on a CPU."""
     return run(name, precision, "cpu")[0]
 
@@ -172,12 +172,12 @@ def test_distance_cache_does_not_change_results(name, few, precision, device, mo
     assert_same(with_cache, uncached)
 
 
-@pytest.fixture(params=["blocks", "queues", "queues and cells"])
+@pytest.fixture(params=["clusters", "queues", "queues and face grids"])
 def detection(request, monkeypatch):
     """Contact detection of a CPU, or of a GPU (work queues, with and without face grids)."""
-    if request.param != "blocks":
+    if request.param != "clusters":
         use_work_queues(monkeypatch)
-    if request.param == "queues and cells":
+    if request.param == "queues and face grids":
         build_all_face_grids(monkeypatch)
 
 
@@ -355,7 +355,7 @@ def test_threads_and_slices_do_not_change_results(name, threads, size, device, m
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize(
-    ("celled", "few"),
+    ("use_face_grids", "few"),
     [
         pytest.param(False, False, id="of many", marks=pytest.mark.slow),
         pytest.param(True, True, id="grid-small", marks=pytest.mark.slow),
@@ -364,12 +364,12 @@ def test_threads_and_slices_do_not_change_results(name, threads, size, device, m
     ],
 )
 # Face grids of small faces next to large spheres take a CPU long to fill.
-@pytest.mark.parametrize("name", [name for name in SCENES if not name.endswith("edges")])
-def test_work_queues_do_not_change_results(name, few, celled, precision, monkeypatch):
+@pytest.mark.parametrize("name", [name for name in SCENES if not name.endswith("edge lengths")])
+def test_work_queues_do_not_change_results(name, few, use_face_grids, precision, monkeypatch):
     """Contact detection as on a GPU, here in one thread."""
-    usual = usual_run(name, precision)
+    usual = cpu_run(name, precision)
     use_work_queues(monkeypatch)
-    if celled:
+    if use_face_grids:
         build_all_face_grids(monkeypatch)
     if not few:
         monkeypatch.setattr(execution_plan, "SMALL_LAUNCH", 0)
@@ -432,11 +432,11 @@ def test_slow_steps_are_split_into_small_chunks():
         def set_frame(self, number):
             pass
 
-        def capture(self, ways):
+        def capture(self, chunks):
             pass
 
-        def step(self, ways):
-            time.sleep(0.02 * sum(way.steps for way in ways))
+        def step(self, chunks):
+            time.sleep(0.02 * sum(chunk.steps for chunk in chunks))
 
     assert list(worker_pool.WorkerPool([worker_pool.DeviceShare([slice(0, 1)], [Stepper()])]).step(24)) == [
         8,

@@ -31,10 +31,10 @@ class Stepper:
     def set_frame(self, number):
         pass
 
-    def capture(self, ways):
+    def capture(self, chunks):
         pass
 
-    def step(self, ways):
+    def step(self, chunks):
         if self.meeting is not None:
             self.meeting.wait(timeout=10.0)  # BrokenBarrierError if the others are not stepped concurrently
         self.log.append((str(self.device), threading.current_thread() is threading.main_thread()))
@@ -76,20 +76,20 @@ def test_graphs_are_launched_on_gpus_before_cpu_slices_start():
 
 def chunks_of(slices, monkeypatch):
     """Steps of each work item, by slice, when two threads take 1000 steps."""
-    begun, taken, lock = {}, {}, threading.Lock()
+    begun, steps_of_items, lock = {}, {}, threading.Lock()
 
     class OnSlices(Stepper):
         def select(self, own):
             self.own = own.start
 
-        def step(self, ways):
+        def step(self, chunks):
             with lock:
                 assert not begun.get(self.own), "somebody else is at it"
                 begun[self.own] = True
             time.sleep(0.001)
             with lock:
                 begun[self.own] = False
-                taken.setdefault(self.own, []).append(sum(way.steps for way in ways))
+                steps_of_items.setdefault(self.own, []).append(sum(chunk.steps for chunk in chunks))
 
     made = worker_pool.WorkerPool(
         [
@@ -100,11 +100,11 @@ def chunks_of(slices, monkeypatch):
     )
     monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
     assert list(made.step(8))[-1] == 8
-    taken.clear()
+    steps_of_items.clear()
     made._chunk_sizer.steps = 1000
     assert list(made.step(1000)) == [1000]
-    assert {own: sum(counts) for own, counts in taken.items()} == dict.fromkeys(range(slices), 1000)
-    return taken
+    assert {own: sum(counts) for own, counts in steps_of_items.items()} == dict.fromkeys(range(slices), 1000)
+    return steps_of_items
 
 
 def test_few_slices_are_split_into_chunks_of_decreasing_length(monkeypatch):
@@ -119,9 +119,9 @@ def test_few_slices_are_split_into_chunks_of_decreasing_length(monkeypatch):
 
 def test_only_the_last_of_many_slices_are_split_into_chunks(monkeypatch):
     """Moving a slice to another thread loads it into the cache again, so most slices are not split."""
-    taken = chunks_of(14, monkeypatch)
-    assert [len(taken[own]) for own in range(6)] == [1] * 6
-    assert all(len(taken[own]) > 2 for own in range(6, 14))
+    steps_of_items = chunks_of(14, monkeypatch)
+    assert [len(steps_of_items[own]) for own in range(6)] == [1] * 6
+    assert all(len(steps_of_items[own]) > 2 for own in range(6, 14))
 
 
 def test_steps_without_duration_are_split_into_several_chunks(monkeypatch):

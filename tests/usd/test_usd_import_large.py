@@ -29,8 +29,8 @@ def test_memory_to_import_many_spheres_is_linear(tmp_path):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    (pile,) = scene.particle_contacts
-    assert (pile.count, len(scene.shape_contacts), len(scene.contacts)) == (count, 0, 0)
+    (contact,) = scene.particle_contacts
+    assert (contact.count, len(scene.shape_contacts), len(scene.contacts)) == (count, 0, 0)
     # A body and a shape with all attributes need some kilobytes; all pairs would need 200 kB each.
     assert peak < 30_000 * count
 
@@ -59,19 +59,21 @@ def test_generated_pairs_equal_a_filtered_list_of_all_pairs():
         count = int(random.integers(1, 25))
         bodies, keys = random.integers(0, 12, count), random.integers(0, 4, count)
         moves = random.random(12)[bodies] < 0.7
-        piles = group_particles([None if key == 0 else int(key) for key in keys], 4)
+        groups = group_particles([None if key == 0 else int(key) for key in keys], 4)
         every = list(combinations(range(count), 2))
         chosen = sorted(pair for pair in every if random.random() < 0.2)
         apart = np.array(chosen, dtype=np.int64).reshape(-1, 2)
-        same = {(i, j) for i, j in every if piles[i] == piles[j] >= 0}
+        same = {(i, j) for i, j in every if groups[i] == groups[j] >= 0}
         expected = [
             (i, j)
             for i, j in every
             if (moves[i] or moves[j]) and bodies[i] != bodies[j] and (i, j) not in same | set(chosen)
         ]
-        assert list(other_pairs(bodies, moves, piles, apart)) == expected
-        held = [{pair for pair in chosen if piles[pair[0]] == piles[pair[1]] == k} for k in range(piles.max() + 1)]
-        assert [set(map(tuple, one.tolist())) for one in pairs_within_groups(piles, apart)] == held
+        assert list(other_pairs(bodies, moves, groups, apart)) == expected
+        held = [
+            {pair for pair in chosen if groups[pair[0]] == groups[pair[1]] == k} for k in range(groups.max() + 1)
+        ]
+        assert [set(map(tuple, one.tolist())) for one in pairs_within_groups(groups, apart)] == held
 
 
 def test_particle_groups_exceed_the_minimum_size_and_are_numbered_in_order():
@@ -86,8 +88,8 @@ def test_filtered_pair_is_excluded_within_its_particle_contact_only(tmp_path):
     first = prim("Sphere", "first", apis, "double radius = 1\n" + filtered + moved(0, 9, 0))
     wall = prim("Cube", "wall", COLLIDER, "double size = 1")
     scene = wc.Scene.from_usd(stage(tmp_path, wall + first + many("Sphere", "double radius = 1", 40)))
-    (pile,) = scene.particle_contacts
-    assert [(one.name, other.name) for one, other in pile.excluded] == [("first_2", "part_3_2")]
+    (contact,) = scene.particle_contacts
+    assert [(one.name, other.name) for one, other in contact.excluded] == [("first_2", "part_3_2")]
     assert len(scene.shape_contacts) == 40
 
 

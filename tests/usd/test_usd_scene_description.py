@@ -13,7 +13,7 @@ from warpcontact.usd.catalogue import LIBRARY
 from warpcontact.usd.description import read_description, write_description
 from warpcontact.usd.serialize import element_calls
 
-SCENES = {"touching": scenes.contact_scene, "shaped": scenes.shape_scene, "own": scenes.custom_law_scene}
+SCENES = {"contacts": scenes.contact_scene, "shapes": scenes.shape_scene, "custom law": scenes.custom_law_scene}
 
 
 def written(scene):
@@ -147,20 +147,20 @@ ELEMENTS = "/World/Description/Elements"
 @pytest.mark.parametrize(
     ("name", "path", "value", "message"),
     [
-        ("touching", "Elements/ball.warpcontact:mass", float("nan"), "Elements/ball: ball.mass must be"),
-        ("touching", "Elements/ball.warpcontact:mass", -1.0, "got -1"),
-        ("touching", "Elements/ball.warpcontact:mass", None, "Elements/ball: mass is missing"),
-        ("touching", "Elements/ball.warpcontact:name", "a b", "name of a body must be letters"),
-        ("touching", "Elements/ball.warpcontact:kind", "build", "kind must be one of body, bodies"),
-        ("touching", "Elements/touch_1.warpcontact:entry", "all", "touch-1.entry must be one of"),
-        ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/ball"], "must come from add_point"),
-        ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "earlier prims"),
-        ("touching", "Elements/touch_1.warpcontact:points", [], "points must have one target, got 0"),
-        ("touching", "Materials/material_0/law.warpcontact:type", "os.system", "there is no law 'os.system'"),
-        ("touching", "Materials/material_0/law.warpcontact:type", "Formula", "there is no law 'Formula'"),
-        ("touching", "Materials/material_0/law.warpcontact:stiffness", -5.0, "stiffness must be greater than 0"),
-        ("touching", ".warpcontact:schema", 99, "which is newer"),
-        ("touching", ".warpcontact:elements", [f"{ELEMENTS}/ball"], "must be all its elements once"),
+        ("contacts", "Elements/ball.warpcontact:mass", float("nan"), "Elements/ball: ball.mass must be"),
+        ("contacts", "Elements/ball.warpcontact:mass", -1.0, "got -1"),
+        ("contacts", "Elements/ball.warpcontact:mass", None, "Elements/ball: mass is missing"),
+        ("contacts", "Elements/ball.warpcontact:name", "a b", "name of a body must be letters"),
+        ("contacts", "Elements/ball.warpcontact:kind", "build", "kind must be one of body, bodies"),
+        ("contacts", "Elements/touch_1.warpcontact:entry", "all", "touch-1.entry must be one of"),
+        ("contacts", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/ball"], "must come from add_point"),
+        ("contacts", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "that come before"),
+        ("contacts", "Elements/touch_1.warpcontact:points", [], "points must have one target, got 0"),
+        ("contacts", "Materials/material_0/law.warpcontact:type", "os.system", "there is no law 'os.system'"),
+        ("contacts", "Materials/material_0/law.warpcontact:type", "Formula", "there is no law 'Formula'"),
+        ("contacts", "Materials/material_0/law.warpcontact:stiffness", -5.0, "stiffness must be greater than 0"),
+        ("contacts", ".warpcontact:schema", 99, "which is newer"),
+        ("contacts", ".warpcontact:elements", [f"{ELEMENTS}/ball"], "must be all its elements once"),
     ],
 )  # fmt: skip
 def test_changed_description_is_refused_with_the_attribute(name, path, value, message):

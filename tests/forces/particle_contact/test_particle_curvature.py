@@ -137,6 +137,6 @@ def test_particle_impact_matches_shape_contact(name, device):
         ends.append(
             [model.sensor(f"body_{i}.{key}") for i in range(2) for key in ("linear_velocity", "angular_velocity")]
         )
-    for of_smooth, of_pile in zip(*ends, strict=True):
+    for of_shapes, of_particles in zip(*ends, strict=True):
         # The same values in the same formulas, from contact points that are computed differently.
-        np.testing.assert_allclose(of_pile, of_smooth, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(of_particles, of_shapes, rtol=0, atol=1e-11)

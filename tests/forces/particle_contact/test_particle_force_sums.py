@@ -30,13 +30,13 @@ def test_particle_forces_summed_by_body_match_sequential_sums(several):
             sum_by_body(model.particle_contact_sets[0])
         forces.append([model.sensor(f"ball.{name}") for name in ("force", "torque")])
     assert not np.array_equal(forces[0][1], forces[1][1])  # rounding differs: the other summation was used
-    for at_once, summed in zip(*forces, strict=True):
-        assert (np.linalg.norm(at_once, axis=-1) > 0).mean() > 0.9
+    for sequential, summed in zip(*forces, strict=True):
+        assert (np.linalg.norm(sequential, axis=-1) > 0).mean() > 0.9
         # The same terms in another order.
-        np.testing.assert_allclose(summed, at_once, rtol=0, atol=1e-13 * np.abs(at_once).max())
+        np.testing.assert_allclose(summed, sequential, rtol=0, atol=1e-13 * np.abs(sequential).max())
 
 
-def heap():
+def particle_scene():
     """Returns spheres of several sizes on a floor, all in particle contact, and a separate body."""
     rng = np.random.default_rng(3)
     scene = wc.Scene()
@@ -57,7 +57,7 @@ def test_particle_sums_in_integrator_are_bitwise_identical_to_wrench_sums(monkey
     """Bitwise equal to a separate launch that adds forces to wrenches, with and without monitors."""
     ends = []
     for by_body in (True, False):
-        model = heap().build(3, "cpu", "float64")
+        model = particle_scene().build(3, "cpu", "float64")
         sum_by_body(model.particle_contact_sets[0])
         assert model.particle_contact_sets[0].sums_by_body
         if not by_body:

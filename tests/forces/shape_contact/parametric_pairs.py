@@ -124,20 +124,20 @@ def random_pairs(A, P, count, seed):
     a, (b, bend) = random_bodies(A, count, random), random_patches(P, count, random)
     q = random_rotations(count, random)
     u = random.uniform(0.0, 2.0 * np.pi, count) if P.u_periodic else random.uniform(-0.8, 0.8, count)
-    foot, n = evaluate_surface(P, b, u, random.uniform(-0.8, 0.8, count))
+    closest, n = evaluate_surface(P, b, u, random.uniform(-0.8, 0.8, count))
     if A is S.Plane:
         # Half-spaces that face the patch, tilted by up to about 30°.
         z = -n + 0.15 * random.normal(size=(count, 3))
         z /= np.linalg.norm(z, axis=1, keepdims=True)
         half = np.column_stack([-z[:, 1], z[:, 0], 0.0 * z[:, 0], 1.0 + z[:, 2]])
         q = half / np.linalg.norm(half, axis=1, keepdims=True)
-        return a, b, foot + n * random.uniform(-0.3, 0.6, (count, 1)), q, bend
+        return a, b, closest + n * random.uniform(-0.3, 0.6, (count, 1)), q, bend
     size = 2.0 * support(A, a, np.broadcast_to(directions(64), (count, 64, 3))).mean(axis=1)
     gap = np.where(random.random(count) < 0.5, random.uniform(-0.6, 2.0, count), random.uniform(-0.6, 0.2, count))
-    beside = random.normal(size=(count, 3)) * (0.2 * size * random.random(count))[:, None]
-    beside -= np.sum(beside * n, axis=1, keepdims=True) * n
+    offset = random.normal(size=(count, 3)) * (0.2 * size * random.random(count))[:, None]
+    offset -= np.sum(offset * n, axis=1, keepdims=True) * n
     out = gap * size + support(A, a, rotated(inverse_rotation(q), -n)[:, None])[:, 0]
-    return a, b, foot + out[:, None] * n + beside, q, bend
+    return a, b, closest + out[:, None] * n + offset, q, bend
 
 
 def is_at_boundary(P, place):
@@ -151,53 +151,54 @@ def facing(P, place):
     return (place["tilt"] < LEVEL) & (place["along"] < -0.999) & ~is_at_boundary(P, place)
 
 
-def classify_contacts(A, P, pairs, met, device="cpu"):
+def classify_contacts(A, P, pairs, contacts, device="cpu"):
     """Returns masks of contacts by kind, and of contacts that are wrong.
 
     The contact point is where the patch is deepest in the shape, or nearest to it, if the normals are opposite
     there. If not, the point is that of the patch lowered along its normals until it is outside of the shape.
     """
     a, b, x, q, bend = pairs
-    gap, u = met["gap"], met["seed"]["u"][:, :2]
-    good, outside = met["status"] == MET, met["status"] == OUTSIDE
+    gap, u = contacts["gap"], contacts["seed"]["u"][:, :2]
+    good, outside = contacts["status"] == MET, contacts["status"] == OUTSIDE
     size = np.zeros(len(x)) if A is S.Plane else outer(A, a)
     ball = np.full(len(x), np.inf) if A is S.Plane else size
-    ask = Reference(A, P, a, b, x, q, ball, device)
-    as_it_is = np.abs(ask.look(u, 0.0)[1] - gap) < TIE
-    lowered = np.where(as_it_is, 0.0, 0.02 * size - gap)
-    there = ask.look(u, lowered)[1] - lowered
+    reference = Reference(A, P, a, b, x, q, ball, device)
+    unlowered = np.abs(reference.evaluate(u, 0.0)[1] - gap) < TIE
+    lowered = np.where(unlowered, 0.0, 0.02 * size - gap)
+    there = reference.evaluate(u, lowered)[1] - lowered
     # If the original patch decides, the lowered one is not searched.
-    bound = np.where(as_it_is & good, gap - TIE, np.inf)
-    bound_below = np.where(as_it_is, -np.inf, np.where(good, gap + lowered - TIE, np.inf))
-    least, below = ask.least(0.0, bound), ask.least(lowered, bound_below)
+    bound = np.where(unlowered & good, gap - TIE, np.inf)
+    bound_below = np.where(unlowered, -np.inf, np.where(good, gap + lowered - TIE, np.inf))
+    least, below = reference.least(0.0, bound), reference.least(lowered, bound_below)
     faces = facing(P, least)
     # If two exits are equally near along a curve, the distance has a narrow valley. Such minima are searched again
     # on a finer grid.
-    doubt = np.flatnonzero(~as_it_is & faces)
+    doubt = np.flatnonzero(~unlowered & faces)
     if doubt.size:
         own = [{name: value[doubt] for name, value in sizes.items()} for sizes in (a, b)]
         close = Reference(A, P, *own, x[doubt], q[doubt], ball[doubt], device, grid=8 * GRID)
         least[doubt] = close.least(0.0, np.inf)
         faces = facing(P, least)
-    nearer = np.where(as_it_is, least["gap"] < bound, below["gap"] < bound_below)
-    other = ~as_it_is & (faces | (least["gap"] >= 0.0) | (np.abs(there - gap) > TIE))
+    nearer = np.where(unlowered, least["gap"] < bound, below["gap"] < bound_below)
+    other = ~unlowered & (faces | (least["gap"] >= 0.0) | (np.abs(there - gap) > TIE))
     # A shape is outside if its nearest point is on the edge, or if it is entirely behind the patch.
-    decides = as_it_is | faces | (least["gap"] >= 0.0)
+    decides = unlowered | faces | (least["gap"] >= 0.0)
     place = np.where(decides, least, below)
     inside = outside & ~is_at_boundary(P, place) & ~((least["gap"] >= 0.0) & (least["along"] > 0.0))
     if A is not S.Plane:
-        foot, n = evaluate_surface(P, b, place["u"], place["v"])
+        closest, n = evaluate_surface(P, b, place["u"], place["v"])
         inside &= (
-            np.sum((x - foot) * n, axis=1) + support(A, a, rotated(inverse_rotation(q), n)[:, None])[:, 0] >= 0.0
+            np.sum((x - closest) * n, axis=1) + support(A, a, rotated(inverse_rotation(q), n)[:, None])[:, 0]
+            >= 0.0
         )
     sane = bend * np.maximum(0.0, -gap) <= DEEP
     return {
         "met": good & sane,
-        "lowered": good & sane & ~as_it_is,
+        "lowered": good & sane & ~unlowered,
         "deep": good & sane & (gap < 0.0),
         "wrong": good & sane & (nearer | other),
         "lost": inside & sane,
-        "missed": (met["status"] == NOT_CONVERGED) & sane,
+        "missed": (contacts["status"] == NOT_CONVERGED) & sane,
         "too deep": ~sane,
     }
 
@@ -208,13 +209,13 @@ def outer(A, a):
     return np.linalg.norm(np.maximum(support(A, a, axes), support(A, a, -axes)), axis=1)
 
 
-def check_points(A, P, pairs, met):
+def check_points(A, P, pairs, contacts):
     """Asserts that points lie on both, on a line along the normal of the patch, and the gap apart."""
     b = pairs[1]
-    good = met["status"] == MET
-    u, n, gap = met["seed"]["u"][good], met["normal"][good], met["gap"][good]
-    foot, normal = evaluate_surface(P, {name: value[good] for name, value in b.items()}, u[:, 0], u[:, 1])
-    np.testing.assert_allclose(met["point_b"][good], foot, atol=1e-13)
+    good = contacts["status"] == MET
+    u, n, gap = contacts["seed"]["u"][good], contacts["normal"][good], contacts["gap"][good]
+    closest, normal = evaluate_surface(P, {name: value[good] for name, value in b.items()}, u[:, 0], u[:, 1])
+    np.testing.assert_allclose(contacts["point_b"][good], closest, atol=1e-13)
     # Normals from numerical derivatives are accurate to 1e-10.
     np.testing.assert_allclose(n, normal, atol=1e-13 if hasattr(P, "derivatives") else 1e-10)
-    np.testing.assert_allclose(met["point_a"][good] - met["point_b"][good], gap[:, None] * n, atol=1e-11)
+    np.testing.assert_allclose(contacts["point_a"][good] - contacts["point_b"][good], gap[:, None] * n, atol=1e-11)

@@ -78,19 +78,19 @@ def to_ellipsoid(axes: wp.vec3d, x: wp.vec3d):
             low += (total - wp.float64(1.0)) / steep
     high = low
     rest = wp.float64(1.0)
-    foot = wp.vec3d()
+    closest = wp.vec3d()
     short = wp.int32(0)
     for k in range(3):
         if axes[k] == least:
             short = k
     for k in range(3):
         if k != short:
-            foot[k] = axes[k] * axes[k] * x[k] / (high + axes[k] * axes[k] - least * least)
-            rest -= foot[k] * foot[k] / (axes[k] * axes[k])
+            closest[k] = axes[k] * axes[k] * x[k] / (high + axes[k] * axes[k] - least * least)
+            rest -= closest[k] * closest[k] / (axes[k] * axes[k])
     # Near the middle of the shortest axis t is below rounding; the missing component is along that axis.
-    foot[short] = wp.sign(x[short]) * least * wp.sqrt(wp.max(rest, wp.float64(0.0)))
+    closest[short] = wp.sign(x[short]) * least * wp.sqrt(wp.max(rest, wp.float64(0.0)))
     scaled = wp.cw_div(x, axes)
-    return wp.where(wp.dot(scaled, scaled) > wp.float64(1.0), wp.length(x - foot), -wp.length(x - foot))
+    return wp.where(wp.dot(scaled, scaled) > wp.float64(1.0), wp.length(x - closest), -wp.length(x - closest))
 
 
 @wp.func
@@ -310,7 +310,7 @@ def _kernels(P, grid):
         found[i] = best
 
     @wp.kernel(module="unique", enable_backward=False)
-    def look(
+    def evaluate(
         kind: wp.int32,
         s: wp.array(dtype=vec5d),
         p: wp.array(dtype=Of_b),
@@ -326,7 +326,7 @@ def _kernels(P, grid):
         apart, _n = distance(kind, s[i], wp.quat_rotate_inv(q[i], place[i] - x[i]), wp.float64(wp.inf), NOWHERE)
         gap[i] = apart
 
-    return search, look
+    return search, evaluate
 
 
 class Reference:
@@ -371,7 +371,7 @@ class Reference:
         wp.launch(self.kernels[0], self.count, inputs=inputs, device=self.device)
         return found.numpy()
 
-    def look(self, u, lowered):
+    def evaluate(self, u, lowered):
         """Returns points of patches, lowered along their normals, and their distances from the shapes."""
         place = wp.zeros(self.count, dtype=wp.vec3d, device=self.device)
         gap = wp.zeros(self.count, dtype=wp.float64, device=self.device)

@@ -14,11 +14,11 @@ names = {"ids": lambda pair: "-".join(kind.__name__ for kind in pair)}
 
 def check(A, P, count, seed, device):
     pairs = random_pairs(A, P, count, seed)
-    met = solved(A, P, *pairs[:4], device=device)
-    verdict = classify_contacts(A, P, pairs, met, device)
+    contacts = solved(A, P, *pairs[:4], device=device)
+    verdict = classify_contacts(A, P, pairs, contacts, device)
     counts = {name: mask.sum() for name, mask in verdict.items()}
     assert counts["wrong"] == counts["lost"] == counts["missed"] == 0, counts
-    check_points(A, P, pairs, met)
+    check_points(A, P, pairs, contacts)
     return counts
 
 
@@ -41,11 +41,11 @@ def test_superellipsoid_normal_on_parametric_surface_is_exact_below_distance_rou
     a, b, x, q, _ = random_pairs(S.Superellipsoid, P, 25_000, 100)
     own = slice(row, row + 1)
     a, b = ({name: value[own] for name, value in sizes.items()} for sizes in (a, b))
-    met = solved(S.Superellipsoid, P, a, b, x[own], q[own])
-    assert met["status"] == MET
+    contacts = solved(S.Superellipsoid, P, a, b, x[own], q[own])
+    assert contacts["status"] == MET
     # Cosine with the tangents: rounding of the point over the distance.
-    assert met["residual"] < 1e-13
-    check_points(S.Superellipsoid, P, (a, b), met)
+    assert contacts["residual"] < 1e-13
+    check_points(S.Superellipsoid, P, (a, b), contacts)
 
 
 @pytest.mark.parametrize(
