@@ -44,8 +44,8 @@ def use_work_queues(monkeypatch):
 
 def sum_by_body(contact_set):
     """Sums contact forces of particles per body, instead of adding each one immediately."""
-    assert contact_set._alone
-    contact_set._alone = False
+    assert contact_set._single_thread
+    contact_set._single_thread = False
     contact_set._kernel = force.kernel(
         contact_set._parts, contact_set._traits, contact_set.real, moves=False, single_thread=False
     )

@@ -101,7 +101,7 @@ def test_plan_selects_shard_size_by_memory(unsharded, device, tmp_path, monkeypa
     assert "11 environments: all at once" in str(plan)
     # Memory for some of them, in steps that resolve single environments.
     monkeypatch.setattr(footprint, "CAUTIOUS_FRACTION", 0.85)
-    monkeypatch.setattr("warpcontact.experiment.plan.COMFORTABLE", 0.85)
+    monkeypatch.setattr("warpcontact.experiment.plan.CAUTIOUS_FRACTION", 0.85)
     place = plan.footprint.locations[-1]
     set_available_memory(
         monkeypatch, int(varied().plan(device=device, shard=5).footprint.bytes_at(place) / 0.85) + 64

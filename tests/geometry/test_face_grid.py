@@ -158,7 +158,7 @@ def test_face_grid_has_a_list_for_every_point_in_contact(sampled_grid):
 
 def test_face_grid_clearance_is_a_lower_bound_on_the_outer_side(sampled_grid):
     corners, own, points, cell, _, closed = sampled_grid
-    free = own.cells.numpy()["free"][cell]
+    free = own.cells.numpy()["clearance"][cell]
     has_clearance = free > 0.0
     assert has_clearance.mean() > 0.1
     distance, side = distance_and_side(corners, points[has_clearance])
@@ -386,7 +386,7 @@ def test_face_grid_clearance_is_zero_around_a_narrow_gap_inside_a_body(precision
     for patch, middle in enumerate((0.0 * far, far)):
         *counts, first = own.query_mesh_grid.numpy()[patch]
         origin, size = own.query_mesh_grid_origin.numpy()[patch], own.query_mesh_cell_size.numpy()[patch]
-        free = own.cells.numpy()["free"][first : first + np.prod(counts)]
+        free = own.cells.numpy()["clearance"][first : first + np.prod(counts)]
         at = np.indices(counts[::-1]).reshape(3, -1)[::-1].T
         away = np.abs(origin.astype(float) + size * (at + 0.5) - surface_centre(surface, middle))
         assert (away < 0.5).all(axis=1).sum() > 100
@@ -413,7 +413,7 @@ def test_face_grid_cells_without_list_capacity_have_no_list(device, monkeypatch)
     start, count = np.divmod(few["faces"][few["faces"] >= 0], device_cells.LIST_STRIDE)
     assert 0 < len(count) < 4
     assert (device_cells.LIST_ALIGNMENT * start + count <= 12).all()
-    np.testing.assert_array_equal(few["free"], usual["free"])
+    np.testing.assert_array_equal(few["clearance"], usual["clearance"])
 
 
 def test_face_grid_query_of_non_finite_state_finds_no_face(monkeypatch):

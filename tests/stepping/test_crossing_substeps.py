@@ -170,12 +170,12 @@ def test_two_simulations_of_one_model_can_alternate_with_substeps(precision, dev
     one = shoot_balls(
         difficult_meshes.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=3
     )
-    omega_dt = [one.model.sensor(name) for _ in [one.step(16)] for name in STATE]
+    values = [one.model.sensor(name) for _ in [one.step(16)] for name in STATE]
     other = wc.Simulation(one.model, dt=1e-2, crossing_substeps=3)
     one.reset()
     for turn in range(16):
         (one if turn % 3 else other).step()
-    for expected, name in zip(omega_dt, STATE, strict=True):
+    for expected, name in zip(values, STATE, strict=True):
         np.testing.assert_array_equal(one.model.sensor(name), expected)
 
 
@@ -190,5 +190,5 @@ def test_invalid_number_of_substeps_is_refused(wrong, device):
         device=device,
         law=SPRING,
     ).model
-    with pytest.raises(ValueError, match=r"crossing_substeps must be a omega_dt number of at least 1"):
+    with pytest.raises(ValueError, match=r"crossing_substeps must be a whole number of at least 1"):
         wc.Simulation(model, dt=1e-3, crossing_substeps=wrong)
