@@ -216,9 +216,7 @@ COMMIT_OFTEN = "import warpcontact.experiment.shards as shards; shards.CHECKPOIN
 
 
 def kill_at_commit(commits, where="after"):
-    """Returns code that makes a process kill itself at a commit: ``before`` its record, ``between`` or ``after``
-    all.
-    """
+    """Returns code that makes a process kill itself at a commit: ``before`` its record, ``between``, or ``after``."""
     return f"""{COMMIT_OFTEN}
 import os, signal
 from warpcontact.experiment import store

@@ -85,9 +85,7 @@ def test_hysteresis_loops_close_and_enclose_lost_energy(catalogue_impacts):
 
 @pytest.mark.slow
 def test_all_laws_are_compared_in_the_same_impact(catalogue_impacts):
-    """All undamped laws have equal penetration; damped laws have the prescribed restitution, and elastic ones e =
-    1.
-    """
+    """All undamped laws have equal penetration; damped laws have the prescribed restitution, elastic ones e = 1."""
     undamped = catalogue_impacts.sel(restitution=1.0)
     np.testing.assert_allclose(undamped["greatest_penetration"], 1e-3, rtol=1e-3)
     # 2.6 to 3.14 δ/v, depending on the exponent.

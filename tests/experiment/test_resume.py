@@ -49,9 +49,7 @@ def check_equal(folder, undisturbed):
 
 
 def killed_at_random(out, study, moments, words, undisturbed):
-    """Kills runs of ``study`` after each of ``moments`` [s] of stepping; returns the number of kills before their
-    end.
-    """
+    """Kills runs of ``study`` after each of ``moments`` [s] of stepping; returns the number of interrupted runs."""
     committed, hits = [], 0
     for moment in moments:
         resume = (out / "data.zarr").exists()

@@ -85,9 +85,7 @@ def test_bvh_has_every_face_once_and_valid_bounds(mesh):
 
 
 def test_bvh_disks_of_a_smooth_surface_thin_quadratically():
-    """Per level the radius halves and the thickness shrinks to a quarter, so a search of a fine mesh tests few
-    faces.
-    """
+    """Per level the radius halves and the thickness shrinks to a quarter, so a search tests few faces."""
     thick = []
     for cells in (32, 64):
         corner, normal = faces_of(wc.meshes.sinusoidal_terrain((4, 4), (cells, cells), 0.2, 2.5))
@@ -139,9 +137,7 @@ def searcher(real):
 
 
 def searched(model, real, points, hints):
-    """Returns the distance and span of the face found for each of ``points``, and the smallest distance to any
-    face.
-    """
+    """Returns distance and span of the face found for each point, and the smallest distance to any face."""
     count = len(points)
     places = wp.array(points, dtype=structs(real).vec3, device="cpu")
     out = [wp.zeros(count, dtype=real, device="cpu") for _ in range(3)]

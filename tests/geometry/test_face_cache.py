@@ -211,9 +211,7 @@ ASKEW = Rotation.from_rotvec([0.7, -0.4, 1.1]).as_matrix()
 
 
 def two_sheets(apart):
-    """A triangle with an edge along x at y = z = 0, and one ``apart`` below that extends to both sides; both
-    rotated.
-    """
+    """A triangle with an edge along x at y = z = 0, and a larger one ``apart`` below; both rotated."""
     upper = [(0.0, 0.0, 0.0), (0.5, -1.0, 0.0), (1.0, 0.0, 0.0)]
     lower = [(-0.1, -0.5, -apart), (1.1, -0.5, -apart), (0.5, 0.6, -apart)]
     return wc.Mesh(np.array(upper + lower) @ ASKEW.T, np.array([[0, 2, 1], [3, 4, 5]]))

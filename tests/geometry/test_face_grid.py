@@ -73,9 +73,7 @@ def grids_of(scene):
     ids="-".join,
 )
 def sampled_grid(request, device):
-    """Face vertices, device model, points with the index of their cell, host model, and whether the mesh is
-    closed.
-    """
+    """Face vertices, device model, points with their cell indices, host model, and whether the mesh is closed."""
     name, precision = request.param
     mesh, radius, closed = CASES[name]
     with pytest.MonkeyPatch.context() as patched:

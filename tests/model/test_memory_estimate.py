@@ -327,9 +327,7 @@ print(planned, 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status
     ids=["outcomes", "series"],
 )
 def test_memory_plan_matches_peak_of_the_process(envs, changes, tmp_path):
-    """Within 15 %, including libraries. A first process compiles kernels, which needs more memory and is not
-    included.
-    """
+    """Within 15 %, including libraries. The first process, which compiles kernels, is not measured."""
     if resources.used_memory() is None:
         pytest.skip("this system does not tell how much memory a process has")
     for count in (10, envs):

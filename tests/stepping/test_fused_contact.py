@@ -1,6 +1,4 @@
-"""The fused contact kernel (narrow phase and force, without contact sensors) gives the results of separate
-kernels.
-"""
+"""The fused kernel of narrow phase and contact force gives the results of separate kernels."""
 
 import numpy as np
 import pytest

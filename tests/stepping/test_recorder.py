@@ -214,9 +214,7 @@ def test_blocks_contain_successive_pieces_of_a_recording(blocks, device, in_slic
     ids=["graphs", "launches", "all_environments"],
 )
 def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
-    """For many frames per call, after an earlier recording, with a worker pool that has not yet measured its
-    speed.
-    """
+    """Many frames per call, after an earlier recording, before the worker pool has measured its speed."""
     sim = wc.Simulation(falling(device).model, dt=1e-3, threads=2, **options)
     recorder = Recorder(sim.model, WATCHED, 60, poses=False)
     recorder.start()

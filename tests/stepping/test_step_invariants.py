@@ -186,9 +186,7 @@ def test_law_returning_nan_freezes_its_environment(device):
 
 
 def test_contacts_use_their_own_surface_points_and_law(device):
-    """Two meshes, each rotated, one on a rotated body, and two friction models of one class: forces match hand
-    values.
-    """
+    """Two rotated meshes, one on a rotated body, and two friction models of one class match hand values."""
     scene = wc.Scene(gravity=(0, 0, 0))
     turn = Rotation.from_euler("xyz", [0.3, -0.4, 0.5])
     tilt = Rotation.from_euler("xyz", [-0.2, 0.1, 0.7])
@@ -328,9 +326,7 @@ def test_simulation_time_is_the_time_of_the_state(device):
 
 @pytest.mark.parametrize("offset", [0.0, 10.0, 1000.0])
 def test_floor_near_a_wall_is_nearest_far_from_the_origin(offset, device):
-    """Both are at nearly the same distance. The choice uses coordinate differences, which round less than
-    coordinates.
-    """
+    """Nearly equal distances are compared by coordinate differences, which round less than coordinates."""
     corner = wc.Mesh(
         np.array([(0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0), (0, 4, 4), (0, 0, 4)]) + offset,
         [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)],

@@ -22,9 +22,7 @@ def turned_about_y(angle):
 
 
 def block(push=0.0, height=1.0, mu=0.5, slope=0.0, velocity=0.0, restitution=0.0, lift=0.0):
-    """A block of 10 kg, 1 m wide and 2 m high, on four vertices, pushed along x at a height; the slope descends
-    along x.
-    """
+    """A block of 10 kg, 1 m wide and 2 m high, on four vertices, pushed along x at a height; slope along x."""
     size = np.array([1.0, 1.0, 2.0])
     q = turned_about_y(slope)
     along, out = np.array([np.cos(slope), 0.0, -np.sin(slope)]), np.array([np.sin(slope), 0.0, np.cos(slope)])

@@ -102,9 +102,7 @@ def threshold_of(sine):
 
 
 def bars():
-    """Bars of 4 kg and 2 m, with a revolute joint at one end and the ground at the other, and with a rail against
-    it.
-    """
+    """Bars of 4 kg and 2 m with different joints, and with contact points at their free ends."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(wc.meshes.grid((40.0, 40.0), (1, 1)), name="ground")
     motions = {

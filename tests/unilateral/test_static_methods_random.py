@@ -54,9 +54,7 @@ def violation(problem, solution):
 
 
 def is_isolated(problem):
-    """Whether solutions are isolated; with friction, those of singular K or redundant contacts may form a
-    continuum.
-    """
+    """Whether solutions are isolated; with friction, singular K or redundant contacts allow a continuum."""
     rows = problem.G.reshape(-1, problem.G.shape[-1])
     regular = np.abs(np.linalg.eigvalsh(problem.K)).min() > 1e-9
     return problem.dim == 1 or (regular and np.linalg.matrix_rank(rows) == len(rows))

@@ -205,9 +205,7 @@ def test_both_sides_share_one_set_of_parameters(device):
 
 
 def test_facing_test_uses_surface_orientation(device):
-    """A vertical wall faces the plane if the orientation of its surface makes it horizontal; inactive faces never
-    do.
-    """
+    """The orientation of its surface turns a vertical wall towards the plane; inactive faces never face it."""
     scene = wc.Scene(gravity=(0, 0, 0))
     plane = scene.add_surface(wc.meshes.grid((2.0, 2.0)), name="plane")
     block = scene.add_body(1.0, [1.0] * 3, (0, 0, 0.01), name="block")

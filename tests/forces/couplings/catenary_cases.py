@@ -55,9 +55,7 @@ def _arrays(count, *dtypes):
 
 
 def solve_suspended(lines, warm=None):
-    """Solves suspended cables (x, y, weight, compliance): returns (h, v), span error, evaluations, convergence
-    flag.
-    """
+    """Solves suspended cables (x, y, weight, compliance): returns (h, v), span error, evaluations, convergence."""
     count = len(lines)
     start = np.zeros((count, 2)) if warm is None else warm
     inputs = [wp.array(start, dtype=wp.vec2d, device="cpu"), wp.array(lines, dtype=wp.vec4d, device="cpu")]
@@ -67,9 +65,7 @@ def solve_suspended(lines, warm=None):
 
 
 def solve_with_seabed(lines, heights, warm=None):
-    """Solves cables on a seabed: returns (h, V of lower end, V of upper end), span error, evaluations, convergence
-    flag.
-    """
+    """Solves cables on a seabed: returns (h, V of lower end, V of upper end), evaluations, convergence."""
     count = len(lines)
     inputs = [
         wp.array(np.zeros(count) if warm is None else warm, dtype=wp.float64, device="cpu"),

@@ -78,9 +78,7 @@ def test_catenary_matches_specification_cases(oracle, precision, direction, devi
 
 
 def test_catenary_forces_in_float32_match_float64_for_random_cables(device):
-    """In float32, positions have a rounding remainder, so that the tension of a cable within 1e-8 of taut is
-    accurate.
-    """
+    """In float32, positions have a rounding remainder, so the tension of a nearly taut cable is accurate."""
     lines = random_lines(100_000)
     x, y, weight, give = lines.T
     models = [hung((1.0, 0, 0), len(lines), device, precision) for precision in ("float64", "float32")]

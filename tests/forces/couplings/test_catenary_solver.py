@@ -101,9 +101,7 @@ def test_weightless_catenary_is_a_linear_spring_or_slack():
 
 
 def _rising(h, height, weight, give):
-    """Horizontal span, unstretched length and vertical force of the suspended part above a seabed, from its
-    catenary.
-    """
+    """Horizontal span, unstretched length and vertical force of the suspended part, from its catenary."""
     more = np.maximum(weight * height, 0.0)
     tension = h + 2 * more / (1 + give * h + np.sqrt((1 + give * h) ** 2 + 2 * give * more))
     v = np.sqrt(tension**2 - h**2)

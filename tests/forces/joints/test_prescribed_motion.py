@@ -99,9 +99,7 @@ def test_prescribed_motion_is_tracked_exactly_over_a_long_run(followed):
 
 
 def test_prescribed_motion_uses_the_recorded_time(device):
-    """In float32, 1 ms has a relative error of 5e-8. A clock that sums such steps would be off by 3e-4 rad of 50
-    Hz after 20 s.
-    """
+    """A clock that sums steps in float32, with a relative error of 5e-8, is off by 3e-4 rad of 50 Hz after 20 s."""
     scene = wc.Scene()
     shake = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.1, frequency=49.7)
     scene.add_body(1.0, (0.1, 0.1, 0.1), motion=shake, name="table")

@@ -72,9 +72,7 @@ def warnings_of_first_step(sim, match):
 
 @pytest.mark.parametrize("scale", [1.0, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_contact_duration_estimate_shares_mass_among_simultaneous_points(scale, device):
-    """A box that lands flat on the points of its largest side has the contact duration of a foundation of their
-    areas.
-    """
+    """A box that lands flat on its points has the contact duration of a foundation of their areas."""
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(5.0), name="ground")
     box = scene.add_body(2.0, [1.0] * 3, (0, 0, 0.06 * scale), linear_velocity=(0, 0, -2), name="box")

@@ -49,9 +49,7 @@ def test_elliptic_hertz_stiffness_has_correct_limits(device):
 
 
 def test_elliptic_hertz_stiffness_matches_published_crossed_cylinders(device):
-    """Cylinders of equal radius, crossed at right angles, have the stiffness of a sphere of that radius on a
-    plane.
-    """
+    """Equal cylinders crossed at right angles have the stiffness of a sphere of their radius on a plane."""
     _, _, stiffness = device_stiffness(np.array([20.0]), np.array([20.0]), wp.float64, device)
     np.testing.assert_allclose(
         STEEL.modulus * stiffness, hertz_stiffness(210e9, 0.3, 0.05, 70e9, 0.33), rtol=1e-14

@@ -181,9 +181,7 @@ def test_mindlin_spring_keeps_force_on_loading_and_stretch_on_unloading(device):
     ids=["CundallStrack", "stiff dashpot", "Mindlin"],
 )
 def test_friction_with_slow_dashpot_is_passive(friction, device):
-    """c/k much larger than dt, slow slip after fast slip, oscillating load: published return maps create energy
-    here.
-    """
+    """c/k much larger than dt, slow slip after fast slip, varying load: published return maps create energy here."""
     rng = np.random.default_rng(8)
     velocity = random_velocities(600, 24, seed=9)
     velocity[:, 0] = np.tile([0.05] + [0.01] * 9, 60)[:, None] * (1.0, 0.0)

@@ -40,9 +40,7 @@ def history_along(path, device, precision="float64", friction=None):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_history_vector_turns_with_the_normal_over_an_edge(precision, device):
-    """Over an edge of a box, a force towards the edge turns down the side; a force along the edge keeps its
-    direction.
-    """
+    """Over an edge of a box, a force towards the edge turns down the side; a force along it is unchanged."""
     top = np.linspace((0.40, 0.0, 0.499), (0.43, 0.02, 0.499), 10)
     side = np.array([[0.499, 0.02, 0.45]])
     found = history_along(np.concatenate([top, side, side]), device, precision)
@@ -151,9 +149,7 @@ def test_history_of_all_parts_is_cleared_at_release(device):
 
 
 def test_history_of_all_parts_starts_at_the_instant_of_contact(device):
-    """If a contact is detected 0.3 steps after it began, its age is 0.3 steps for law, friction, rolling and
-    torsion.
-    """
+    """If a contact is detected 0.3 steps after it began, the age of all its models is 0.3 steps."""
     model, sim = stuck(device)
     state = sim.state.body_position.numpy().copy()
     state[:, 1, 2] = 0.1 + 0.7e-3

@@ -245,9 +245,7 @@ def test_laws_and_friction_models_per_area_can_be_compared(device):
 
 
 def test_points_of_a_surface_move_with_it(device):
-    """Sample points lie on the surface for any pose, in each environment: the distance to a copy of the surface is
-    zero.
-    """
+    """Sample points lie on the surface for any pose: the distance to a copy of the surface is zero."""
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
     body = scene.add_body(1.0, [1e-2] * 3, (0, 0, 1), (0, 0.6, 0, 0.8), name="body")

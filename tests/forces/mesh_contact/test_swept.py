@@ -247,9 +247,7 @@ def test_ball_between_two_plates_stays_between_them(gap, precision, device):
 
 @PRECISIONS
 def test_rolling_ball_does_not_pass_through_a_wall_of_the_same_surface(precision, device):
-    """The ball is in contact with the floor at all times. The wall belongs to the same surface but is not
-    connected.
-    """
+    """The ball is in contact with the floor. The wall belongs to the same surface but is not connected."""
     floor, wall = wc.meshes.grid((4.0, 4.0), (4, 4)), difficult_meshes.plate((0.5, 2.0), cells=(2, 2))
     upright = np.column_stack([wall.vertices[:, 2] + 1.0, wall.vertices[:, 1], 0.3 - wall.vertices[:, 0]])
     both = wc.Mesh(

@@ -1,6 +1,4 @@
-"""Time-stepping nonsmooth contact: impacts, sliding, sticking, rolling, tipping, against closed forms and an
-oracle.
-"""
+"""Time-stepping nonsmooth contact against closed forms: impacts, sliding, sticking, rolling, tipping."""
 
 import json
 import warnings

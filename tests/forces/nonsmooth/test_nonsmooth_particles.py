@@ -13,9 +13,7 @@ INERTIA = [0.4 * MASS * RADIUS**2] * 3
 
 
 def spheres(positions, material, *, velocities=(0.0, 0.0, 0.0), gravity=G, floor=None, **options):
-    """Returns a scene of equal solid balls in particle contact, with the material ``floor`` above a plane at z =
-    0.
-    """
+    """Returns a scene of equal solid balls in particle contact, with the material ``floor`` on a plane at z = 0."""
     scene = wc.Scene(gravity=(0.0, 0.0, -gravity))
     balls = scene.add_bodies(positions, MASS, INERTIA, linear_velocities=velocities, name="ball")
     shapes = scene.add_shape(balls, wc.shapes.Sphere(RADIUS), name="sphere")

@@ -1,6 +1,4 @@
-"""Fast slip, which Gauss–Seidel solves by its direction: results equal those of the slip equation, or fall back to
-it.
-"""
+"""Fast slip, which Gauss–Seidel solves by its direction, gives the results of the slip equation."""
 
 import numpy as np
 import pytest

@@ -416,9 +416,7 @@ def test_second_solver_keeps_the_solution_of_the_first():
 
 
 def test_accelerated_solver_converges_for_hyperstatic_towers():
-    """Ten cubes with four contacts each: Gauss–Seidel needs over 1000 sweeps, this solver less than 200
-    iterations.
-    """
+    """Ten cubes with four contacts each: Gauss–Seidel needs over 1000 sweeps, this solver under 200 iterations."""
     step = tower([1.0] * 10)
     slow = step.solve("gauss_seidel", tolerance=1e-10, iterations=400)
     fast = step.solve("accelerated", tolerance=1e-10, iterations=400)

@@ -76,9 +76,7 @@ def test_many_random_planes_on_parametric_surfaces_match_reference(P, times, dev
 @pytest.mark.slow
 @pytest.mark.parametrize("P", PATCHES, ids=lambda kind: kind.__name__)
 def test_superellipsoids_on_parametric_surfaces_match_reference(P, device):
-    """The reference takes 0.4 s of a core per pair, 20 times the solver. In a separate run of 25 000 pairs none
-    was wrong.
-    """
+    """The reference takes 0.4 s per pair, 20 times the solver. A separate run of 25 000 pairs had no error."""
     counts = check(S.Superellipsoid, P, 100, 100, device)
     assert counts["met"] > 95
     assert counts["deep"] > 30

@@ -30,9 +30,7 @@ def search_neighborhood(
     shortfall: wp.array(dtype=wp.float64),
     there: wp.array(dtype=wp.float64),
 ):
-    """Largest amount by which points of the core circle are nearer than ``reported``, and the distance of
-    ``center``.
-    """
+    """Computes how much nearer than ``reported`` the core circle is at most, and the distance of ``center``."""
     i = wp.tid()
     n = normal[i]
     for k in range(ANGLES):
