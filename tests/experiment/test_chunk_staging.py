@@ -23,7 +23,7 @@ ENVS, FRAMES = 96, 5
 
 
 @pytest.fixture
-def made(tmp_path, monkeypatch):
+def staged_run(tmp_path, monkeypatch):
     """The folder of a run of three shards of 32 environments, with chunks of 4 environments, and the values."""
     monkeypatch.setattr(store, "CHUNK", 4 * 8 * FRAMES)
     values = np.random.default_rng(3).normal(size=(FRAMES, ENVS))
@@ -49,8 +49,8 @@ def series(values):
 
 
 @pytest.mark.parametrize(("threads", "most"), [(1, 1), (2, 2), (64, store.WRITERS), (None, store.WRITERS)])
-def test_chunks_in_memory_do_not_exceed_the_plan(threads, most, made, monkeypatch):
-    folder, values = made
+def test_chunks_in_memory_do_not_exceed_the_plan(threads, most, staged_run, monkeypatch):
+    folder, values = staged_run
     lock, busy = threading.Lock(), []
     count = 0
     write_chunk = Chunk.write
@@ -75,8 +75,8 @@ def test_chunks_in_memory_do_not_exceed_the_plan(threads, most, made, monkeypatc
 
 
 @pytest.mark.parametrize("shard", [store.Shard(1, 32, 64), store.Shard(2, 64, 91)], ids=str)
-def test_shard_writes_its_own_environments_only(shard, made):
-    folder, values = made
+def test_shard_writes_its_own_environments_only(shard, staged_run):
+    folder, values = staged_run
     staging = write(folder, values, shard)
     assert len(staging.written) == -(-shard.envs // 4)
     path = folder / store.STAGING / shard.name / "series" / "gap"
@@ -134,8 +134,8 @@ def test_chunks_are_bitwise_identical_to_those_of_zarr(dims, dtype, tmp_path):
         assert (size, sha) == (len(content), hashlib.sha256(content).hexdigest())
 
 
-def test_chunks_without_values_have_no_file_and_are_listed(made):
-    folder, values = made
+def test_chunks_without_values_have_no_file_and_are_listed(staged_run):
+    folder, values = staged_run
     values = values.copy()
     values[:, 4:8] = np.nan
     staging = write(folder, values, store.Shard(0, 0, 32))
@@ -159,8 +159,8 @@ def test_arrays_with_another_compressor_are_refused(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="this system does not tell what is waited for")
-def test_files_to_commit_are_synchronized_to_disk(made, monkeypatch):
-    folder, values = made
+def test_files_to_commit_are_synchronized_to_disk(staged_run, monkeypatch):
+    folder, values = staged_run
     synced = set()
     usual = os.fsync
 
@@ -179,8 +179,8 @@ def test_files_to_commit_are_synchronized_to_disk(made, monkeypatch):
         assert files | folders <= synced
 
 
-def test_block_is_written_concurrently_with_the_next(made, monkeypatch):
-    folder, values = made
+def test_block_is_written_concurrently_with_the_next(staged_run, monkeypatch):
+    folder, values = staged_run
     begun, go_on = threading.Event(), threading.Event()
     write_chunk = Chunk.write
 
@@ -202,9 +202,9 @@ def test_block_is_written_concurrently_with_the_next(made, monkeypatch):
         assert (len(content), hashlib.sha256(content).hexdigest()) == (size, sha)
 
 
-@pytest.mark.parametrize("asks", ["write", "wait"])
-def test_failed_block_write_raises_at_the_next_call(asks, made, monkeypatch):
-    folder, values = made
+@pytest.mark.parametrize("call", ["write", "wait"])
+def test_failed_block_write_raises_at_the_next_call(call, staged_run, monkeypatch):
+    folder, values = staged_run
 
     def full(chunk, path):
         raise OSError(28, "No space left on device")
@@ -213,14 +213,14 @@ def test_failed_block_write_raises_at_the_next_call(asks, made, monkeypatch):
     with store.Ledger(folder).staging(store.Shard(0, 0, 32)) as staging:
         staging.write("series", series(values), 0)
         with pytest.raises(OSError, match="No space left"):
-            staging.wait() if asks == "wait" else staging.write("series", series(values), FRAMES)
+            staging.wait() if call == "wait" else staging.write("series", series(values), FRAMES)
         assert staging.written == {}
         # The error is raised once.
         staging.wait()
 
 
-def test_no_write_is_running_after_a_shard_is_closed(made, monkeypatch):
-    folder, values = made
+def test_no_write_is_running_after_a_shard_is_closed(staged_run, monkeypatch):
+    folder, values = staged_run
     write_chunk, ended = Chunk.write, []
 
     def slow(chunk, path):
@@ -239,8 +239,8 @@ def test_no_write_is_running_after_a_shard_is_closed(made, monkeypatch):
     assert len(ended) == 8
 
 
-def test_write_error_is_added_to_another_exception(made, monkeypatch):
-    folder, values = made
+def test_write_error_is_added_to_another_exception(staged_run, monkeypatch):
+    folder, values = staged_run
 
     def full(chunk, path):
         raise OSError(28, "No space left on device")

@@ -36,7 +36,7 @@ class Deepest(wc.outcomes.Max):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def study_and_run(tmp_path_factory):
     """A folder with a study that has files of custom laws and outcomes, and its run without a picture."""
 
     def interrupt(stage):
@@ -58,15 +58,15 @@ def made(tmp_path_factory):
 
 
 @pytest.fixture
-def study(made, tmp_path):
+def study(study_and_run, tmp_path):
     """A copy of the study."""
-    return shutil.copytree(made / "study", tmp_path / "study")
+    return shutil.copytree(study_and_run / "study", tmp_path / "study")
 
 
 @pytest.fixture
-def run(made, tmp_path):
+def run(study_and_run, tmp_path):
     """A copy of the run."""
-    return shutil.copytree(made / "run", tmp_path / "run")
+    return shutil.copytree(study_and_run / "run", tmp_path / "run")
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ def everything(ground_name="ground"):
     return scene
 
 
-def hard():
+def nonsmooth_scene():
     scene = wc.Scene()
     ground = scene.add_surface(square(5.0), name="ground")
     box = scene.add_body(
@@ -61,7 +61,7 @@ def hard():
 CASES = {
     "forces": (everything, {"dt": 5e-4, "crossing_substeps": 3}),
     "launches": (everything, {"dt": 5e-4, "capture_graphs": False}),
-    "impulses": (hard, {"dt": 1e-3, "integrator": wc.integrators.MoreauJean(theta=0.5)}),
+    "impulses": (nonsmooth_scene, {"dt": 1e-3, "integrator": wc.integrators.MoreauJean(theta=0.5)}),
 }
 
 
@@ -73,7 +73,7 @@ def simulation(case, device, envs=3, **changes):
     return wc.Simulation(model, deterministic=True, **(options | changes))
 
 
-def bits(sim):
+def state_bytes(sim):
     """Bytes of state and history. Caches are excluded, because they may differ without changing results."""
     return {name: values.tobytes() for name, values in checkpoint.state_of(sim).items()}
 
@@ -90,20 +90,20 @@ def test_simulation_loaded_from_checkpoint_continues_bitwise_identically(case, d
     sim = simulation(case, where)
     sim.step(37)
     sim.save(tmp_path / "state.npz")
-    before = bits(sim)
+    before = state_bytes(sim)
     sim.step(50)
     other = simulation(case, where)
     other.step(3)
     other.load(tmp_path / "state.npz")
-    assert bits(other) == before
+    assert state_bytes(other) == before
     assert other.steps == 37
     other.step(50)
-    assert bits(other) == bits(sim)
+    assert state_bytes(other) == state_bytes(sim)
     if devices == "one":
         assert sensors(other) == sensors(sim)
     # Saving does not change the simulation, and an earlier state can be loaded.
     sim.load(tmp_path / "state.npz")
-    assert bits(sim) == before
+    assert state_bytes(sim) == before
 
 
 def test_checkpoint_restores_parameters(device, tmp_path):
@@ -120,7 +120,7 @@ def test_checkpoint_restores_parameters(device, tmp_path):
     for name in sim.model:
         np.testing.assert_array_equal(other.model[name], sim.model[name], err_msg=name)
     other.step(20)
-    assert bits(other) == bits(sim)
+    assert state_bytes(other) == state_bytes(sim)
 
 
 def test_unstepped_model_loaded_from_checkpoint_still_follows_its_parameters(device, tmp_path):
@@ -146,10 +146,10 @@ def test_checkpoint_of_another_simulation_is_refused_without_changes(changes, me
     sim.step(3)
     sim.save(tmp_path / "state.npz")
     other = simulation("forces", device, **changes)
-    before = bits(other)
+    before = state_bytes(other)
     with pytest.raises(wc.CheckpointError, match=f"state.npz: is of another simulation: {message}"):
         other.load(tmp_path / "state.npz")
-    assert bits(other) == before
+    assert state_bytes(other) == before
 
 
 def test_checkpoint_of_another_scene_is_refused_with_the_difference(device, tmp_path):
@@ -167,7 +167,7 @@ def test_damaged_checkpoint_is_refused(device, tmp_path):
     path = tmp_path / "state.npz"
     sim.save(path)
     whole = path.read_bytes()
-    before = bits(sim)
+    before = state_bytes(sim)
     rng = np.random.default_rng(0)
     # After the directory at the end of the file, only the data it refers to are checked.
     for place in rng.integers(200, len(whole) * 3 // 4, 20):
@@ -176,7 +176,7 @@ def test_damaged_checkpoint_is_refused(device, tmp_path):
             sim.load(path)
         except wc.CheckpointError:
             continue
-        assert bits(sim) == before  # a byte between two arrays
+        assert state_bytes(sim) == before  # a byte between two arrays
     for length in (0, 1, 100, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:length])
         with pytest.raises(wc.CheckpointError, match="is no complete checkpoint"):

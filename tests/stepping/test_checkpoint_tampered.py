@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_checkpoint import bits, simulation
+from test_checkpoint import simulation, state_bytes
 
 import warpcontact as wc
 from warpcontact.stepping import checkpoint
@@ -89,10 +89,10 @@ def test_out_of_range_checkpoint_value_is_refused_without_changes(end, new, mess
     sim, _, arrays = saved
     name = named(arrays, end)
     np.savez(tmp_path / "bad.npz", **(arrays | {name: changed(arrays[name], 0, new)}))
-    before = bits(sim)
+    before = state_bytes(sim)
     with pytest.raises(wc.CheckpointError, match=message):
         sim.load(tmp_path / "bad.npz")
-    assert bits(sim) == before
+    assert state_bytes(sim) == before
 
 
 def test_invalid_parameter_or_force_in_checkpoint_is_refused(saved, tmp_path):
@@ -122,12 +122,12 @@ def test_zero_force_scale_in_nonsmooth_checkpoint_is_refused(tmp_path):
     np.savez(path, **(arrays | {name: 0.0 * arrays[name]}))
     sim.model["feet.force_scale"] = 0.5
     sim.step(2)
-    before = bits(sim)
+    before = state_bytes(sim)
     with pytest.raises(
         wc.CheckpointError, match=r"feet\.force_scale must be greater than 0, got 0: rigid contact"
     ):
         sim.load(path)
-    assert bits(sim) == before
+    assert state_bytes(sim) == before
     np.testing.assert_array_equal(sim.model["feet.force_scale"], 0.5)
 
 
@@ -154,10 +154,10 @@ def test_frozen_environment_with_non_finite_state_is_restored(tmp_path):
     sim.save(tmp_path / "after.npz")
     other = simulation("impulses", "cpu", envs=2)
     other.load(tmp_path / "after.npz")
-    assert bits(other) == bits(sim)
+    assert state_bytes(other) == state_bytes(sim)
     other.step(5)
     sim.step(5)
-    assert bits(other) == bits(sim)
+    assert state_bytes(other) == state_bytes(sim)
     assert other.model.health().frozen.tolist() == [1]
 
 

@@ -39,7 +39,7 @@ def box(count, material=MATERIAL, radius=0.01, **body):
     return make
 
 
-def weighed(scene):
+def box_with_areas(scene):
     """A box whose contacts have area weights of the part that faces the ground."""
     ground = scene.add_surface(HILLS, name="ground")
     body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body")
@@ -48,7 +48,7 @@ def weighed(scene):
     scene.add_surface_contact(shell, ground, wc.ContactMaterial(law=law), samples=30, name="touch")
 
 
-def carries_the_surface(scene):
+def body_with_surface(scene):
     """A ball with a triangle mesh among points that are fixed to the world."""
     body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.6), name="body")
     shell = scene.add_surface(wc.meshes.icosphere(0.3, 3), body, name="shell")
@@ -65,8 +65,8 @@ SINGLE_BODY_SCENES = {
     "with history": box(20, STUCK),
     "sphere with history": box(1, STUCK, radius=0.09),
     "box with external force": box(12, external_force=(1.0, 0.0, 0.5), external_torque=(0.0, 0.02, 0.0)),
-    "box with area weights": weighed,
-    "body with the surface": carries_the_surface,
+    "box with area weights": box_with_areas,
+    "body with the surface": body_with_surface,
 }
 
 
@@ -240,11 +240,11 @@ def two_bodies(scene):
     scene.add_body(1.0, (1e-3, 1e-3, 1e-3), name="other")
 
 
-def on_a_hinge(scene):
+def with_a_joint(scene):
     box(6, motion=wc.motions.Hinge(axis=(0, 1, 0), anchor=(0.3, 0, 0.5)))(scene)
 
 
-def on_a_spring(scene):
+def with_a_spring(scene):
     SINGLE_BODY_SCENES["few points"](scene)
     body = scene.bodies[0]
     ends = (scene.add_point(body, (0, 0, 0)), scene.add_point(None, (0, 0, 2)))
@@ -267,7 +267,8 @@ def with_a_latch(scene):
 @pytest.mark.parametrize(
     "make",
     slow_except(
-        [two_bodies, on_a_hinge, on_a_spring, on_two_surfaces, with_a_latch], lambda make: make is on_a_spring
+        [two_bodies, with_a_joint, with_a_spring, on_two_surfaces, with_a_latch],
+        lambda make: make is with_a_spring,
     ),
 )
 def test_scenes_without_fused_step_use_several_launches(make, device, fused_launches):

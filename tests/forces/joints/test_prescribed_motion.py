@@ -66,7 +66,7 @@ FOLLOWED = {
 
 
 @pytest.fixture(scope="module", params=["float32", "float64"])
-def followed(request, device):
+def prescribed_bodies(request, device):
     """A free body, and one body for each prescribed motion."""
     scene = wc.Scene(gravity=(0, 0, -G))
     for name, (motion, _) in FOLLOWED.items():
@@ -84,8 +84,8 @@ def pose_error(model, name, function, t):
     return np.abs(model.sensor(f"{name}.position")[0] - START - way).max(), turned.magnitude()
 
 
-def test_prescribed_motion_is_tracked_exactly_over_a_long_run(followed):
-    model = followed
+def test_prescribed_motion_is_tracked_exactly_over_a_long_run(prescribed_bodies):
+    model = prescribed_bodies
     model.reset()
     sim = wc.Simulation(model, dt=1e-3)
     for steps in (0, 1, 1, 43, 555, 100_000):
@@ -111,8 +111,8 @@ def test_prescribed_motion_uses_the_recorded_time(device):
     np.testing.assert_allclose(recording["table.position"].values[:, 0, 2], expected, rtol=0, atol=1.2e-9)
 
 
-def test_prescribed_velocity_is_the_mean_over_the_step(followed):
-    model = followed
+def test_prescribed_velocity_is_the_mean_over_the_step(prescribed_bodies):
+    model = prescribed_bodies
     model.reset()
     rounding = 4 * EPSILON[model.precision]
     for name, (_, function) in FOLLOWED.items():
@@ -139,9 +139,9 @@ def test_prescribed_velocity_is_the_mean_over_the_step(followed):
             np.testing.assert_allclose(velocity, expected, atol=allowed, err_msg=name)
 
 
-def test_prescribed_motion_reaction_equals_driving_force(followed):
+def test_prescribed_motion_reaction_equals_driving_force(prescribed_bodies):
     """F = m (a − g) with the acceleration at this time."""
-    model = followed
+    model = prescribed_bodies
     model.reset()
     wc.Simulation(model, dt=1e-3).step(100)
     angle = 9.0 * model.arrays.time.numpy()[0]

@@ -335,7 +335,7 @@ def test_history_of_frozen_environment_is_unchanged(device):
     status = model.arrays.status.numpy().copy()
     status[1] = ENV_FROZEN
     model.arrays.status.assign(status)
-    ((_, memory, kept),) = model.groups[0].memories()
+    ((_, memory, kept),) = model.groups[0].histories()
     before = memory.numpy().copy(), kept.numpy().copy()
     sim.step(3)
     for array, old in zip((memory, kept), before, strict=True):
@@ -399,18 +399,18 @@ ADVANCE, FORCE = custom_law.TwoBristles.advance, custom_law.Viscous.force
 
 
 @wp.func
-def forgets(p: Any, s: Any, m: Any):
+def without_return(p: Any, s: Any, m: Any):
     m.spring = m.spring + m.elapsed * s.velocity
 
 
 @wp.func
-def pulls(p: Any, s: Any, m: Any):
+def spring_force(p: Any, s: Any, m: Any):
     return -m.spring
 
 
 MISTAKES = [
     (
-        {"spring": wc.history("m", "", tangent=True), "force": pulls},
+        {"spring": wc.history("m", "", tangent=True), "force": spring_force},
         r"Wrong\.advance must be a wp\.func of \(coeff",
     ),
     ({"advance": ADVANCE, "force": FORCE}, r"Wrong\.advance has nothing to advance"),
@@ -419,7 +419,7 @@ MISTAKES = [
         r"Wrong\.force must take 3 arguments, \(coefficients, state, his",
     ),
     (
-        {"spring": wc.history("m", ""), "advance": forgets, "force": pulls},
+        {"spring": wc.history("m", ""), "advance": without_return, "force": spring_force},
         r"Wrong\.advance returns nothing; .*return m",
     ),
     ({"elapsed": wc.history("s", "")}, r"Wrong\.elapsed must have another name"),

@@ -165,7 +165,7 @@ def test_nonsmooth_pyramid_slides_apart_below_critical_friction(device):
     assert model.sensor("scene.kinetic_energy")[1] < 1e-12
 
 
-def heap(**options):
+def packing(**options):
     """60 balls that fall into a box of planes, lower ones first; two environments with random positions."""
     rng = np.random.default_rng(1)
     grid = np.stack(np.meshgrid(*[np.arange(3)] * 2, np.arange(7), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -188,7 +188,7 @@ def heap(**options):
 
 
 def start(skin, device, **options):
-    scene, places, shifts = heap(skin=skin)
+    scene, places, shifts = packing(skin=skin)
     model = scene.build(envs=2, device=device, precision="float64", **options)
     model["ball.position"] = places + shifts
     return model
@@ -201,13 +201,13 @@ FALL = 1800
 INTEGRATOR = wc.integrators.MoreauJean(iterations=1000, tolerance=1e-6)
 
 
-def bits(model):
+def state_bytes(model):
     names = ["ball.position", "ball.linear_velocity", "ball.angular_velocity", "pile.force", "floor.impulse"]
     return np.concatenate([model.sensor(name).ravel() for name in [*names, "scene.solve_iterations"]])
 
 
 @pytest.fixture(scope="module")
-def fallen(device):
+def settled(device):
     """Final state of the packing, its recording, and the checkpoint halfway."""
     model = start(0.3 * RADIUS, device)
     names = [*ENERGY, "ball.linear_velocity", "pile.max_penetration", "pile.contacts"]
@@ -215,14 +215,14 @@ def fallen(device):
     names += [f"{wall}.penetration" for wall in WALLS]
     simulation = wc.Simulation(model, STEP, INTEGRATOR)
     first = simulation.run(STEP * FALL / 2, names)
-    half_way = bits(model)
+    half_way = state_bytes(model)
     second = simulation.run(STEP * FALL / 2, names)
     data = {name: np.concatenate([first[name].values, second[name].values[1:]]) for name in names}
     return model, data, half_way
 
 
-def test_nonsmooth_heap_has_bounded_overlap_and_never_gains_energy(fallen):
-    model, data, _ = fallen
+def test_nonsmooth_heap_has_bounded_overlap_and_never_gains_energy(settled):
+    model, data, _ = settled
     assert (model.particle_contact_sets[0].grid.build_count.numpy() > 10).all()
     speed = np.linalg.norm(data["ball.linear_velocity"], axis=-1).max(axis=2)
     fastest = speed.max()
@@ -240,8 +240,8 @@ def test_nonsmooth_heap_has_bounded_overlap_and_never_gains_energy(fallen):
     assert (data["pile.contacts"][-1] > 60).all()
 
 
-def test_nonsmooth_heap_presses_on_the_floor_with_its_weight(fallen):
-    model = fallen[0]
+def test_nonsmooth_heap_presses_on_the_floor_with_its_weight(settled):
+    model = settled[0]
     momentum = model.sensor("scene.linear_momentum")
     wc.Simulation(model, STEP, INTEGRATOR).step(1)
     gain = (model.sensor("scene.linear_momentum") - momentum) / STEP
@@ -261,11 +261,11 @@ def test_nonsmooth_heap_presses_on_the_floor_with_its_weight(fallen):
 
 
 @pytest.mark.parametrize("skin", [0.05 * RADIUS, 0.9 * RADIUS])
-def test_nonsmooth_results_do_not_depend_on_neighbor_list_rebuilds(fallen, skin, device):
+def test_nonsmooth_results_do_not_depend_on_neighbor_list_rebuilds(settled, skin, device):
     """The numbers of iterations and the results are bitwise equal; another warm start would change them."""
     model = start(skin, device)
     wc.Simulation(model, STEP, INTEGRATOR).step(FALL // 2)
-    np.testing.assert_array_equal(bits(model), fallen[2])
+    np.testing.assert_array_equal(state_bytes(model), settled[2])
 
 
 def test_nonsmooth_solve_is_warm_started(device):
@@ -278,17 +278,17 @@ def test_nonsmooth_solve_is_warm_started(device):
     assert model.sensor("scene.solve_iterations")[0] > 5 * warm
 
 
-def test_nonsmooth_particles_on_several_devices_are_bitwise_identical(fallen, device):
-    scene, places, shifts = heap(skin=0.3 * RADIUS)
+def test_nonsmooth_particles_on_several_devices_are_bitwise_identical(settled, device):
+    scene, places, shifts = packing(skin=0.3 * RADIUS)
     model = scene.build(envs=2, device=[device, device], precision="float64")
     model["ball.position"] = places + shifts
     wc.Simulation(model, STEP, INTEGRATOR).step(FALL // 2)
-    np.testing.assert_array_equal(bits(model), fallen[2])
+    np.testing.assert_array_equal(state_bytes(model), settled[2])
 
 
 @pytest.mark.parametrize("options", [{"threads": 2}, {"threads": 1, "capture_graphs": False}], ids=str)
 def test_nonsmooth_particles_are_bitwise_identical_for_any_slices_threads_and_graphs(
-    fallen, options, device, monkeypatch
+    settled, options, device, monkeypatch
 ):
     monkeypatch.setattr(requirements, "MAX_SLICE", 1)
     monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
@@ -300,16 +300,16 @@ def test_nonsmooth_particles_are_bitwise_identical_for_any_slices_threads_and_gr
     simulation.step(3)
     simulation.reset()
     simulation.step(FALL // 2)
-    np.testing.assert_array_equal(bits(model), fallen[2])
+    np.testing.assert_array_equal(state_bytes(model), settled[2])
 
 
-def test_nonsmooth_particles_are_unchanged_by_sensor_evaluation(fallen, device):
+def test_nonsmooth_particles_are_unchanged_by_sensor_evaluation(settled, device):
     model = start(0.3 * RADIUS, device)
     simulation = wc.Simulation(model, STEP, INTEGRATOR)
     for _ in range(FALL // 40):
         simulation.step(20)
         model.contact_pairs("pile")
-    np.testing.assert_array_equal(bits(model), fallen[2])
+    np.testing.assert_array_equal(state_bytes(model), settled[2])
 
 
 def test_compliant_particles_and_nonsmooth_contacts_can_share_a_scene(device):

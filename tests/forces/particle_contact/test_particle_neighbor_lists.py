@@ -29,7 +29,7 @@ def scene(skin=0.02, **options):
     return made
 
 
-def bits(model):
+def state_bytes(model):
     """Returns the bytes of the state of all bodies."""
     state = model.state
     arrays = (state.body_position, state.body_orientation, state.body_linear_velocity, state.body_angular_velocity)
@@ -49,20 +49,20 @@ def run(request, device):
     start = model.state.body_linear_velocity.numpy().copy()
     sim = wc.Simulation(model, dt=DT, deterministic=True)
     sim.step(STEPS)
-    return model, bits(model).copy(), start
+    return model, state_bytes(model).copy(), start
 
 
-def again(run, made, device, **options):
+def rerun(run, made, device, **options):
     """Returns the final states of the same run of another scene, and its model."""
     model = made.build(envs=3, device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
     wc.Simulation(model, dt=DT, deterministic=True, **options).step(STEPS)
-    return bits(model), model
+    return state_bytes(model), model
 
 
 def test_results_are_bitwise_identical_for_any_skin(run, device):
     """A wide skin rebuilds lists rarely, a narrow one often; contact history is transferred with the pairs."""
-    end, wide = again(run, scene(skin=0.15), device)
+    end, wide = rerun(run, scene(skin=0.15), device)
     np.testing.assert_array_equal(end, run[1])
     often, seldom = (
         model.particle_contact_sets[0].cell_list.build_count.numpy().min() for model in (run[0], wide)
@@ -73,7 +73,7 @@ def test_results_are_bitwise_identical_for_any_skin(run, device):
 def test_neighbor_lists_of_all_pairs_give_bitwise_identical_results(run, device, monkeypatch):
     """A few shapes use lists of all pairs, which are never rebuilt."""
     monkeypatch.setattr(contact_set, "ALL_PAIRS_LIMIT", COUNT)
-    end, model = again(run, scene(), device)
+    end, model = rerun(run, scene(), device)
     assert model.particle_contact_sets[0].all_pairs
     np.testing.assert_array_equal(end, run[1])
 
@@ -100,7 +100,7 @@ def test_neighbor_lists_of_offset_capsules_give_bitwise_identical_results(device
         made.add_particle_contact(shapes, MATERIAL, name="pile", skin=skin, max_neighbors=59)
         model = made.build(device=device)
         wc.Simulation(model, dt=DT, deterministic=True).step(1500)
-        ends.append(bits(model)[..., 3:])
+        ends.append(state_bytes(model)[..., 3:])
         models.append(model)
     changed = np.linalg.norm(models[0].sensor("rod.linear_velocity") + 2 * positions, axis=-1)
     assert (changed > 0.5).mean() > 0.8
@@ -116,7 +116,7 @@ def test_neighbor_lists_of_offset_capsules_give_bitwise_identical_results(device
 def test_particle_results_are_bitwise_identical_for_any_slices_and_threads(run, device, monkeypatch):
     """Slices of one environment, one thread, and no graphs."""
     monkeypatch.setattr("warpcontact.stepping.requirements.MAX_SLICE", 1)
-    end, _ = again(run, scene(), device, threads=1, capture_graphs=False)
+    end, _ = rerun(run, scene(), device, threads=1, capture_graphs=False)
     np.testing.assert_array_equal(end, run[1])
 
 
@@ -125,7 +125,7 @@ def test_particle_environment_alone_is_bitwise_identical(run, device):
     model = scene().build(device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"][1:2]
     wc.Simulation(model, dt=DT, deterministic=True).step(STEPS)
-    np.testing.assert_array_equal(bits(model)[0], run[1][1])
+    np.testing.assert_array_equal(state_bytes(model)[0], run[1][1])
 
 
 def test_evaluation_of_another_state_keeps_particle_history(run, device):
@@ -141,7 +141,7 @@ def test_evaluation_of_another_state_keeps_particle_history(run, device):
         position.assign(here * 50)
         assert model.sensor("pile.contacts").max() == 0
         position.assign(here)
-    np.testing.assert_array_equal(bits(model), run[1])
+    np.testing.assert_array_equal(state_bytes(model), run[1])
 
 
 def test_reset_restores_initial_particle_state(run, device):
@@ -152,10 +152,10 @@ def test_reset_restores_initial_particle_state(run, device):
     sim.step(STEPS // 2)
     model.reset(np.array([False, True, False]))
     sim.step(STEPS // 2)
-    half = bits(model)
+    half = state_bytes(model)
     np.testing.assert_array_equal(half[[0, 2]], run[1][[0, 2]])
     sim.step(STEPS // 2)
-    np.testing.assert_array_equal(bits(model)[1], run[1][1])
+    np.testing.assert_array_equal(state_bytes(model)[1], run[1][1])
 
 
 def test_particle_results_split_over_devices_are_bitwise_identical(run, device):
@@ -163,7 +163,7 @@ def test_particle_results_split_over_devices_are_bitwise_identical(run, device):
     model = scene().build(envs=3, device=[device, device], precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
     wc.Simulation(model, dt=DT, deterministic=True).step(STEPS)
-    np.testing.assert_array_equal(np.concatenate([bits(part) for part in model.parts]), run[1])
+    np.testing.assert_array_equal(np.concatenate([state_bytes(part) for part in model.parts]), run[1])
     assert model.contact_pairs("pile").equals(run[0].contact_pairs("pile"))
 
 
@@ -192,7 +192,7 @@ def test_failed_particle_environment_is_frozen_and_others_continue(run, device):
     velocity.assign(broken)
     wc.Simulation(model, dt=DT, deterministic=True).step(STEPS)
     assert model.health().frozen.tolist() == [1]
-    np.testing.assert_array_equal(bits(model)[[0, 2]], run[1][[0, 2]])
+    np.testing.assert_array_equal(state_bytes(model)[[0, 2]], run[1][[0, 2]])
 
 
 def test_neighbor_list_overflow_raises(device):
@@ -240,5 +240,5 @@ def test_particle_results_with_substeps_are_bitwise_identical_for_any_skin(devic
             sim.step(600)
         assert model.sensor("floor.crossings").sum() > 10
         assert model.health().good
-        ends.append(bits(model))
+        ends.append(state_bytes(model))
     np.testing.assert_array_equal(*ends)

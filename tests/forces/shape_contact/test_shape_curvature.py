@@ -183,7 +183,7 @@ def test_parametric_surface_curvature_is_correct_for_hollows_and_saddles(device)
     np.testing.assert_allclose(np.abs(found["direction"][0]), (1, 0, 0), atol=1e-12)
 
 
-def bent(a, b, x, q, device):
+def pair_curvatures(a, b, x, q, device):
     """Returns the contacts of a pair, their curvatures, and K/E* of Hertz contact."""
     of_pair, of_curves = pair_function(type(a), type(b)), pair_curvature(type(a), type(b))
     P_a, P_b = (coefficient_struct(type(s), wp.float64) for s in (a, b))
@@ -216,7 +216,7 @@ def test_crossed_cylinder_stiffness_matches_closed_form(device):
     # frame.
     x = np.tile([0.69, 0.0, 0.0], (4, 1))
     q = np.column_stack([np.sin(angle / 2), 0 * angle, 0 * angle, np.cos(angle / 2)])
-    contact, found, stiffness = bent(a, b, x, q, device)
+    contact, found, stiffness = pair_curvatures(a, b, x, q, device)
     np.testing.assert_allclose(contact["gap"], -0.01, atol=1e-12)
     total, apart = 5.0 + 2.0, np.sqrt(25.0 + 4.0 + 20.0 * np.cos(2 * angle))
     k_1, k_2 = 0.5 * (total - apart), 0.5 * (total + apart)
@@ -231,7 +231,7 @@ def test_ellipsoid_tip_stiffness_matches_closed_form(device):
     a, b = S.Ellipsoid((0.3, 0.4, 0.2)), S.Ellipsoid((0.5, 0.3, 0.25))
     angle = np.radians([0.0, 25.0, 90.0])
     q = np.column_stack([np.sin(angle / 2), 0 * angle, 0 * angle, np.cos(angle / 2)])
-    _, found, stiffness = bent(a, b, np.tile([0.79, 0.0, 0.0], (3, 1)), q, device)
+    _, found, stiffness = pair_curvatures(a, b, np.tile([0.79, 0.0, 0.0], (3, 1)), q, device)
     of_a, of_b = (0.3 / np.array([0.16, 0.04]), 0.5 / np.array([0.09, 0.0625]))
     exact = []
     for turn, k in zip(angle, found["relative"], strict=True):
