@@ -14,6 +14,8 @@ import warpcontact as wc
 from warpcontact.stepping import checkpoint
 
 HERE = Path(__file__).parent
+# Environment of the process, which finds helper modules.
+PATHS = os.environ | {"PYTHONPATH": str(HERE.parent)}
 # Time limit [s] for 50 files and the start of a process on a slow machine.
 PATIENCE = 300
 

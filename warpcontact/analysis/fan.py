@@ -94,20 +94,3 @@ def quantile_fan(
         name=array.name,
         attrs=array.attrs | {"stopped": stopped, "stopped_environments": int(np.isfinite(ends).sum())},
     )
-
-
-def quantiles_over(values: Array, levels: ArrayLike) -> Array:
-    """Returns quantiles (level, time, …) of the values (time, env, …), ignoring NaN; NaN if all are NaN."""
-    levels = np.asarray(levels)
-    found = np.full((len(levels), len(values), *values.shape[2:]), np.nan)
-    if not values.shape[1]:
-        return found
-    complete = ~np.isnan(values).any(axis=tuple(range(1, values.ndim)))
-    if complete.any():
-        found[:, complete] = np.quantile(values[complete], levels, axis=1)
-    # ``nanquantile`` is much slower, so it is called for incomplete times only.
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
-        if not complete.all():
-            found[:, ~complete] = np.nanquantile(values[~complete], levels, axis=1)
-    return found

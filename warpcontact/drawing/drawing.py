@@ -118,6 +118,6 @@ class Drawing:
         cls, recording: xr.Dataset, scene: Scene | None = None, envs: int | Iterable[int] | None = None
     ) -> "Drawing":
         """Returns the drawing of some environments of a recording; arguments and errors as for ``drawing_of``."""
-        from warpcontact.visualize.drawing.draw import drawing_of
+        from warpcontact.drawing.draw import drawing_of
 
         return drawing_of(recording, scene, envs)

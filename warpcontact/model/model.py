@@ -263,6 +263,7 @@ class Model(Environments, SceneTraits):
     @shared_capture_lock()
     def reset_state(self, mask: NDArray[np.bool_]) -> None:
         """Resets the environments of ``mask`` (envs,) to their initial state, with empty history."""
+        from warpcontact.kernels.acceptance import reset
         from warpcontact.kernels.couplings import contact_coupling
 
         a = self.arrays

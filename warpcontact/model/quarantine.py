@@ -1,6 +1,6 @@
 """Quarantine: limits whose violation makes an environment fail, and the policies for failed environments.
 
-Kernels freeze a failed environment at its last valid state (``kernels/integrators/quarantine.py``). The policies
+Kernels freeze a failed environment at its last valid state (``kernels/acceptance/quarantine.py``). The policies
 "reset" and "raise" are applied here, on the host.
 """
 

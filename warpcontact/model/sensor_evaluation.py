@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 #: Needs that require the evaluation of all contacts, also of those that are far.
 NEEDS_ALL_DISTANCES = ("distances", "points", "contact_couplings", *SHAPE_CONTACT_MEASURES)
 #: Needs that can be computed slice by slice and in every step.
-SLICE_NEEDS = frozenset(("contacts", "wrenches", "distances", *measures.BODY_MEASURES, "points", "coordinates"))
+SLICE_NEEDS = frozenset(
+    ("contacts", "wrenches", "distances", *body_measures.BODY_MEASURES, "points", "coordinates")
+)
 
 #: Needs of contacts and wrenches, including contacts that are far.
 CONTACT_NEEDS = frozenset(("wrenches", "distances"))

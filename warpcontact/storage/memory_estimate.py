@@ -227,14 +227,6 @@ def env_count_text(count: int) -> str:
     return f"{count} environment{'' if count == 1 else 's'}"
 
 
-def format_bytes(size: float) -> str:
-    """Returns a number of bytes as text with three digits, such as ``1.50 GiB``."""
-    unit = 0
-    while abs(size) >= 1024.0 and unit < len(_UNITS) - 1:
-        size, unit = size / 1024.0, unit + 1
-    return f"{size:.0f} {_UNITS[unit]}" if unit == 0 or size >= 999.5 else f"{size:.3g} {_UNITS[unit]}"
-
-
 def _fixed(items: Iterable[MemoryItem], envs: int) -> int:
     """Returns the size of ``items`` that does not depend on the number of environments [bytes]."""
     return max(0, round(sum(item.size - envs * item.per_env for item in items)))

@@ -461,7 +461,7 @@ class NonsmoothContacts:
 
     def show(self, model: "Model") -> None:
         """Copies the last step to the sensor arrays of all contacts and bodies; forces are means over the step."""
-        from warpcontact.stepping.execution_plan import ExecutionPlan
+        from warpcontact.forces.execution_plan import ExecutionPlan
 
         a, device, real = model.arrays, self._device, self._real
         for launch in self.show_stages(

@@ -238,7 +238,7 @@ class Monitor:
 
         The sensors in ``needs`` must have been evaluated.
         """
-        from warpcontact.stepping.execution_plan import ExecutionPlan
+        from warpcontact.forces.execution_plan import ExecutionPlan
 
         model = self._model
         assert model is not None

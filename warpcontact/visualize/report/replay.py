@@ -13,9 +13,6 @@ from warpcontact.drawing.drawing import Drawing, Shape
 from warpcontact.scene.scene import Scene
 from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import count
-from warpcontact.visualize.decimation import evenly, kept_samples
-from warpcontact.visualize.drawing.colors import GAPS
-from warpcontact.visualize.drawing.drawing import Drawing, Shape
 from warpcontact.visualize.report.choice import Choice
 from warpcontact.visualize.report.markup import short
 from warpcontact.visualize.report.meshes import add_shape, drawable_shape
