@@ -17,9 +17,9 @@ KERNELS = Path(kernels.__file__).parent
 HOST_ORDER = [
     "validation",
     "algebra",
+    "files",
     "system",
     "storage",
-    "files",
     "meshes",
     "scene",
     "geometry",
@@ -60,13 +60,11 @@ KERNEL_ORDER = [
 UPWARD = {
     ("scene.scene", "model.build"),  # Scene.build
     ("scene.scene", "usd.importing.scene_from_stage"),  # Scene.from_usd
-    ("scene.contact_coupling", "forces.contact_coupling.report"),  # ContactCoupling.report
-    ("scene.mobility", "forces.shape_contact.tessellate"),
     ("model.environments", "stepping.requirements"),  # Model.memory
     ("model.plan", "stepping.requirements"),
 }
 #: Largest number of modules that may import each other in a circle.
-MAX_KNOT = 39
+MAX_KNOT = 34
 
 
 def modules() -> dict[str, Path]:

@@ -13,8 +13,8 @@ import xarray as xr
 
 from warpcontact.drawing.drawing import Shape
 from warpcontact.drawing.triangles import ball
-from warpcontact.forces.contact_coupling.report import CouplingReport
 from warpcontact.model.health import Health
+from warpcontact.scene.contact_coupling_report import CouplingReport
 from warpcontact.scene.status import EnvironmentStatus, FailureCause
 from warpcontact.validation import number_format
 from warpcontact.visualize.report import (

@@ -11,9 +11,9 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from warpcontact.algebra.poses import transform_points
-from warpcontact.forces.shape_contact.tessellate import tessellate
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.scene.scene import Surface
+from warpcontact.scene.shape_tessellation import tessellate
 from warpcontact.scene.shapes import Shape
 from warpcontact.stepping.recording import Recording
 from warpcontact.validation.checks import Array

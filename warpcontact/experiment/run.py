@@ -32,10 +32,10 @@ from warpcontact.experiment.user_code import UserFiles
 from warpcontact.files.atomic_files import open_for_writing
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import RunPath
-from warpcontact.forces.contact_coupling.report import CouplingReport, report_of
 from warpcontact.kernels.catalogue.keywords import explain_keywords, explain_keywords_of
 from warpcontact.model.flags import words_of
 from warpcontact.model.health import Health
+from warpcontact.scene.contact_coupling_report import CouplingReport, report_of
 from warpcontact.scene.scene import Scene
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import escape_lines

@@ -25,9 +25,9 @@ from warpcontact.experiment.records import COMMITS, created_files, digest
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
 from warpcontact.files.run_folder import RunPath
-from warpcontact.forces.contact_coupling.report import OUTCOMES
 from warpcontact.model.environments import Environments
 from warpcontact.model.sensor_evaluation import CONTACT_NEEDS
+from warpcontact.scene.contact_coupling_report import OUTCOMES
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.run_warnings import RunWarnings

@@ -9,13 +9,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from warpcontact.forces.sensor import Sensor
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import stored_name
 from warpcontact.kernels.catalogue.renamed import explain_renamed
 from warpcontact.model.health import Health
 from warpcontact.model.scene_traits import SENSOR_ARRAYS
 from warpcontact.model.sensor_evaluation import CONTACT_NEEDS
-from warpcontact.model.sensors import Sensor
 from warpcontact.scene.couplings import Catenary
 from warpcontact.scene.scene import Scene
 from warpcontact.stepping.requirements import stepping_memory

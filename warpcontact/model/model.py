@@ -16,12 +16,12 @@ from warpcontact.forces.contact_groups import ContactGroup
 from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.forces.joints.joint_data import PrescribedMotionSet
+from warpcontact.forces.sensor import Sensor
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
 from warpcontact.model.environments import Environments
 from warpcontact.model.scene_traits import SENSOR_ARRAYS, SHAPE_CONTACT_MEASURES, SceneTraits
 from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages, needs_contacts
-from warpcontact.model.sensors import Sensor
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.storage.allocation_plan import AllocationPlan, broadcast
 from warpcontact.storage.memory_estimate import MemoryItem

@@ -13,11 +13,11 @@ import warp as wp
 from warpcontact.forces.contact_groups import ContactGroup
 from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.forces.joints.joint_data import PrescribedMotionSet
+from warpcontact.forces.sensor import Sensor
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
 from warpcontact.model.model import Model
 from warpcontact.model.scene_traits import SceneTraits
-from warpcontact.model.sensors import Sensor
 from warpcontact.model.split_model import SplitModel
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.stepping.requirements import stepping_memory

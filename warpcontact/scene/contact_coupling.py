@@ -18,8 +18,8 @@ from warpcontact.scene.surface_contact import SIDES
 from warpcontact.validation import checks
 
 if TYPE_CHECKING:
-    from warpcontact.forces.contact_coupling.report import CouplingReport
     from warpcontact.model.environments import Environments
+    from warpcontact.scene.contact_coupling_report import CouplingReport
     from warpcontact.scene.scene import Scene
 
 FACINGS = ("projected", "all")
@@ -55,7 +55,7 @@ class ContactCoupling:
 
     def report(self, model: "Environments") -> "CouplingReport":
         """Returns minimum distance and effective area of each environment since its reset."""
-        from warpcontact.forces.contact_coupling.report import report
+        from warpcontact.scene.contact_coupling_report import report
 
         return report(self, model)
 

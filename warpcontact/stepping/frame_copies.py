@@ -15,8 +15,8 @@ from warpcontact.kernels.outcomes import recording
 from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:
+    from warpcontact.forces.sensor import Sensor
     from warpcontact.model.model import Model
-    from warpcontact.model.sensors import Sensor
 
 
 class FrameCopies:

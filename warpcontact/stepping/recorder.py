@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact._version import __version__
+from warpcontact.forces.sensor import AXES
 from warpcontact.model.environments import Environments
 from warpcontact.model.model import Model
-from warpcontact.model.sensors import AXES
 from warpcontact.scene.scene import Scene
 from warpcontact.stepping.frame_buffers import Channel, Frame
 from warpcontact.stepping.frame_copies import FrameCopies

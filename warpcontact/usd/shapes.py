@@ -8,12 +8,12 @@ import numpy as np
 
 from warpcontact.algebra.poses import transform_points
 from warpcontact.drawing.shapes import PLANE, ShapePlacement, ShapeSet
-from warpcontact.forces.shape_contact.tessellate import tessellate
 from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
 from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.scene.shape_tessellation import tessellate
 from warpcontact.usd.author import Samples, add_pose, integers, quaternions, store_element_name, vectors, write_box
 from warpcontact.usd.geometry import set_color
 from warpcontact.validation.checks import Array

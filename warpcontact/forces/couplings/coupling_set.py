@@ -10,8 +10,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.types import WORLD
-from warpcontact.model.sensors import Sensor, shape_in
 from warpcontact.scene.status import CouplingStatus
 from warpcontact.storage.parameters import Field, pack
 from warpcontact.validation import checks

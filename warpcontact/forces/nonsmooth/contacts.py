@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from warpcontact.forces.contact_groups import ContactGroup, group_by_model
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP, NonsmoothSource, material_upload, parameters_of
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
+from warpcontact.forces.sensor import Sensor
 from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.nonsmooth import build_rows, exact_sleep, save_impulses, sequence, velocity_update
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.shapes.records import shape_contact_structs
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
-from warpcontact.model.sensors import Sensor
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.scene.shapes import ShapeContact

@@ -20,6 +20,7 @@ from warpcontact.forces.particle_contact.neighbor_capacity import (
     max_neighbors,
     owned_records,
 )
+from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import group_structs
@@ -33,7 +34,6 @@ from warpcontact.kernels.particles.base import (
     particle_structs,
 )
 from warpcontact.kernels.types import FREE
-from warpcontact.model.sensors import Sensor, shape_in
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.shapes import Shape

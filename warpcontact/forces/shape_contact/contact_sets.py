@@ -12,6 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.contact_groups import compile_force_kernel, history_view
+from warpcontact.forces.sensor import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.forces.shape_contact.measures import has_curvatures
 from warpcontact.forces.shape_contact.shape_sets import ShapeSet
 from warpcontact.kernels.acceptance import reset
@@ -28,7 +29,6 @@ from warpcontact.kernels.shapes.records import (
     WarmStarts,
     shape_contact_structs,
 )
-from warpcontact.model.sensors import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.shapes import ShapeContact
 from warpcontact.scene.status import ContactStatus

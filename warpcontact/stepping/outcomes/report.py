@@ -9,8 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact._version import __version__
+from warpcontact.forces.sensor import AXES
 from warpcontact.model.environments import Environments
-from warpcontact.model.sensors import AXES
 from warpcontact.scene.status import EnvironmentStatus, FailureCause
 from warpcontact.stepping.outcomes.observer import Monitor, OutcomeState
 from warpcontact.stepping.outcomes.watch import MonitorSettings

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.forces.sensor import AXES, Sensor
 from warpcontact.kernels.outcomes.base import COMPONENTS, Source
 from warpcontact.kernels.outcomes.source import EACH, SUM, SourceForm
 from warpcontact.model.sensor_evaluation import SLICE_NEEDS
-from warpcontact.model.sensors import AXES, Sensor
 from warpcontact.validation.checks import find_entry
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warpcontact.forces.contact_coupling.report import CouplingReport
+from warpcontact.scene.contact_coupling_report import CouplingReport
 from warpcontact.validation.number_format import count, number, quantity
 from warpcontact.visualize.report.markup import Markup, element, joined, name, table
 

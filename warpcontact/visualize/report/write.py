@@ -14,8 +14,8 @@ from warpcontact.experiment.status import run_status
 from warpcontact.experiment.trust import Trust
 from warpcontact.experiment.user_code import TrustError
 from warpcontact.files.atomic_files import atomic_file, check_writable
-from warpcontact.forces.contact_coupling.report import CouplingReport
 from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.scene.contact_coupling_report import CouplingReport
 from warpcontact.validation.checks import entries
 from warpcontact.visualize.report import couplings, ended, environments, facts, loops, outcomes, series, viewer
 from warpcontact.visualize.report.choice import Choice, choose
