@@ -96,8 +96,8 @@ def test_every_public_name_loads_and_is_listed_once():
 
 
 ON_DEMAND = (
-    *(f"kernels.{name}" for name in ("friction", "laws", "motions", "smooth.shapes", "springs")),
-    *("experiment", "meshes", "outcomes", "unilateral"),
+    *(f"kernels.{name}" for name in ("couplings.springs", "friction", "joints", "laws", "shapes.shapes")),
+    *("experiment", "meshes", "stepping.outcomes", "unilateral"),
 )
 
 
@@ -152,7 +152,7 @@ def test_import_for_a_simulation_loads_no_optional_package(tmp_path):
 NEEDLESS = (
     *("matplotlib", "numpy.f2py", "pandas", "pxr", "pyarrow", "ray", "scipy", "tqdm", "trimesh", "xarray", "zarr"),
     *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "friction.lugre", "laws.tsuji")),
-    *(f"warpcontact.kernels.shapes.{part}" for part in ("curvature", "derivatives", "detect")),
+    *(f"warpcontact.kernels.shapes.{part}" for part in ("curvature", "derivatives", "narrow_phase")),
     *("warpcontact.kernels.shapes.sphere", "warpcontact.kernels.shapes.superellipsoid"),
     *("warpcontact.kernels.joints.prescribed", "warpcontact.kernels.outcomes.catalogue"),
     *("warpcontact.kernels.couplings.springs.elastic", "warpcontact.kernels.couplings.springs.damping"),

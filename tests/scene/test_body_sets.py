@@ -324,7 +324,7 @@ def test_too_long_step_for_one_body_of_a_set_warns(device):
     scene.add_contact(points, ground, wc.ContactMaterial(law=law), radius=0.1, name="touch")
     model = scene.build(2, device)
     # π √(m/k): 31 ms for the first body, 0.31 ms for the second.
-    with pytest.warns(wc.ContactWarning, match=r"touch: dt = 0\.0001 s is too long: a contact takes 0\.00031 s"):
+    with pytest.warns(wc.ContactWarning, match=r"touch: dt = 0\.0001 s is too long: a contact lasts 0\.00031 s"):
         wc.Simulation(model, dt=1e-4).step(1)
     model["grains.mass"] = 1.0
     with warnings.catch_warnings():

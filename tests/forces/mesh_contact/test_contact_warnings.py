@@ -101,7 +101,7 @@ def test_contact_duration_estimate_ignores_points_outside_the_contact_area(devic
     bed = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e8))
     scene.add_contact(scene.add_points(ground, wc.sample_surface(ground.mesh, 2000)), skin, bed, name="touch")
     model = scene.build(device=device)
-    (found,) = warnings_of_first_step(wc.Simulation(model, dt=1e-2), r"a contact takes (\S+) s")
+    (found,) = warnings_of_first_step(wc.Simulation(model, dt=1e-2), r"a contact lasts (\S+) s")
     # A point has an area weight of 500 cm², but the ball covers at most 0.1 m × 0.1 m.
     assert float(found.group(1)) > 0.9 * np.pi * np.sqrt(1.0 / (1e8 * 0.1))
 
@@ -217,7 +217,7 @@ def two_balls(gap, device):
 
 def test_particle_contact_warns_of_too_long_step_and_deep_initial_overlap(device):
     """For the two lightest bodies of 0.75 kg: π √(m/k) = 27.2 ms; ½ k δ² = ½ m v² with δ = 0.1 m gives 11.5 m/s."""
-    text = r"pile: dt = 0.003 s is too long: .* 0.027 s in environment 0, 9.1 steps; take dt ≤ 0.0027 s for 10"
+    text = r"pile: dt = 0.003 s is too long: .* 0.027 s in environment 0, 9.1 steps. Use dt ≤ 0.0027 s for 10"
     assert len(warnings_of_first_step(wc.Simulation(two_balls(0.01, device), dt=3e-3), text)) == 1
     assert warnings_of_first_step(wc.Simulation(two_balls(0.01, device), dt=2.7e-3), ".*") == []
     messages = warnings_of_first_step(wc.Simulation(two_balls(-0.1, device), dt=1e-3), ".*")
