@@ -1,5 +1,5 @@
-// Builds ../warpcontact/run_report/page.js: `npm ci && npm run build`. Its first line has the SHA-256 of what it was
-// built from, by which tests tell whether it is of today's sources.
+// Builds ../warpcontact/visualize/report/page.js: `npm ci && npm run build`. Its first line has the SHA-256 of its
+// sources; a test compares it with the present sources.
 import { createHash } from "node:crypto";
 import { readFileSync, readdirSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
@@ -7,7 +7,7 @@ import { fileURLToPath } from "node:url";
 import { build } from "esbuild";
 
 const here = dirname(fileURLToPath(import.meta.url));
-const target = join(here, "../warpcontact/run_report/page.js");
+const target = join(here, "../warpcontact/visualize/report/page.js");
 
 /** SHA-256 over name and content of each source, by name; the test computes the same. */
 function digestOfSources() {

@@ -114,7 +114,7 @@ def check(sim, path):
         sim.step(5)
         sim.model.sensor(sim.model.sensor_names[0])
     except RuntimeError as error:
-        if "partners" not in str(error):  # neighbor list overflow; the list is part of the state
+        if "neighbors" not in str(error):  # neighbor list overflow; the list is part of the state
             raise
         return "raised"
     if sim.monitor_settings.outcomes:
