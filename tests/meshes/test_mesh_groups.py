@@ -153,7 +153,7 @@ def test_repair_is_reported_and_repeated_by_the_copied_experiment(tmp_path):
     run = wc.Experiment.from_dict(content, tmp_path).run(
         tmp_path / "out", device="cpu", on_warning=messages.append
     )
-    assert "note: mesh file 'wheel.obj': duplicate: 1 face with the corners of an earlier one dropped" in messages
+    assert "note: mesh file 'wheel.obj': duplicate: 1 face with the vertices of an earlier one dropped" in messages
     assert not any("are treated as one" in text or "no face flipped" in text for text in messages)
     assert json.loads((tmp_path / "out" / "run.json").read_text())["warnings"] == messages
     again = wc.Experiment.from_toml(run.files["experiment"]).scene().surfaces[0]
