@@ -160,6 +160,8 @@ def test_pushed_block_example_agrees_with_statics(device, tmp_path, capsys):
     assert result["limit"] < 98.1 / 300 + 1e-9
 
 
+# Gauss–Seidel with 50 to 1000 times heavier bodies on light ones ends above the tolerance in 1 % of the steps.
+@pytest.mark.filterwarnings("ignore:the contact problem did not converge")
 def test_wall_of_boxes_example_breaks_and_gains_no_energy(device, tmp_path, capsys):
     picture, animation = tmp_path / "wall.png", tmp_path / "wall.usdc"
     options = ["--columns", "3", "--rows", "2", "--duration", "0.5", "--device", device]

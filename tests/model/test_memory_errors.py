@@ -107,9 +107,7 @@ def test_parameter_values_per_environment_are_refused_if_they_do_not_fit(parts, 
     model = ball_scene().build(1000, [device] * parts)
     mass = np.linspace(1, 2, 1000)
     set_available_memory(monkeypatch, 5000)  # the host stores 8 bytes of each
-    message = (
-        r"^for a value of ball\.mass in each, 1000 environments need .*; at most \d+ environments at once fit on"
-    )
+    message = r"^for a value of ball\.mass in each, 1000 environments need .*; at most \d+ environments fit on"
     with pytest.raises(MemoryError, match=message):
         model["ball.mass"] = mass
     assert not model.varies("ball.mass")
