@@ -94,7 +94,9 @@ def test_walls_over_a_polygonal_boundary_are_its_hull(corners):
     bowl = Mesh(
         vertices, np.column_stack([start, np.roll(start, -1), np.full(len(boundary_points), len(boundary_points))])
     )
-    sides = make_query_mesh(bowl, np.ones(len(boundary_points), dtype=bool), np.zeros(3), only_active=False).sides
+    sides = make_query_mesh(
+        bowl, np.ones(len(boundary_points), dtype=bool), np.zeros(3), only_active=False
+    ).side_region
     assert sides.kind == SIDE_KNOWN_INSIDE_WALLS
     assert len(sides.normal) == corners
 
@@ -128,6 +130,6 @@ def terrain(size, noise, turns):
 def test_nearly_straight_boundary_has_four_sides(size, turns, noise):
     """Also along the axes, where rounding determines the first vertex."""
     mesh = terrain(size, noise, turns)
-    sides = make_query_mesh(mesh, np.ones(len(mesh.faces), dtype=bool), np.zeros(3), only_active=False).sides
+    sides = make_query_mesh(mesh, np.ones(len(mesh.faces), dtype=bool), np.zeros(3), only_active=False).side_region
     assert sides.kind == SIDE_KNOWN_INSIDE_WALLS
     assert len(sides.normal) == 4

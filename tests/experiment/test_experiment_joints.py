@@ -85,7 +85,7 @@ BAD = [
     (HINGE | {"axis": [0, 1]}, ".axis must be 3 numbers, got [0, 1]"),
     (HINGE | {"anchor": ["a", 0, 0]}, ".anchor must be 3 numbers [m], got 'a'"),
     (HINGE | {"ancor": [0, 0, 0]}, ".ancor is not known; did you mean 'anchor'?"),
-    ({"type": "Hinge", "axis": [0, 1, 0]}, ".anchor is missing: a point of the axis, world [m]"),
+    ({"type": "Hinge", "axis": [0, 1, 0]}, ".anchor is missing: point of the axis, world [m]"),
     ({"type": "Hing"}, ".type must be one of Free, Fixed, "),
     ({"type": "Hooke"}, "; that is a law"),
     ("Fixed", " must be a table, got 'Fixed'; write motion = { type = 'Fixed', … }"),

@@ -188,7 +188,7 @@ def test_stop_condition_with_substeps_is_reported_once():
     [
         (
             lambda: wc.StopCondition("ball.position", below=0.1),
-            r"stop\['x'\]: ball\.position is a vector; say which",
+            r"stop\['x'\]: ball\.position is a vector; set component to",
         ),
         (
             lambda: wc.StopCondition("ball.positon", below=0.1),
