@@ -154,7 +154,7 @@ def test_monitor_settings_round_trip():
     watched = monitor_arguments(again.settings)
     assert watched["quarantine"] == "reset"
     assert repr(watched["outcomes"]["fall"]) == "<FirstTime ball.position z below 0.5>"
-    assert repr(watched["stop"]["landed"]) == "<Stop where ball.position z is below 0.1>"
+    assert repr(watched["stop"]["landed"]) == "<StopCondition where ball.position z is below 0.1>"
     assert watched["events"].most == 4
     more, less = (wc.Experiment.from_dict(content(**own)).plan(device="cpu") for own in (sections, {}))
     assert "outcomes" in {need.purpose for need in more.footprint.items}

@@ -75,7 +75,7 @@ def test_compliant_contact_with_rigid_law_is_refused(tmp_path):
                 "integrator.compliant[1] must be the name of a contact, got 'plie'; did you mean 'pile'?",
             ],
         ),
-        ({"theta": 0.5}, ["theta needs type = 'MoreauJean'"]),
+        ({"theta": 0.5}, ["theta requires type = 'MoreauJean'"]),
     ],
 )
 def test_invalid_integrator_is_one_problem(tmp_path, integrator, problems):

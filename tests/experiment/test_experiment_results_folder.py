@@ -72,8 +72,8 @@ def test_folder_of_unfinished_run_can_be_reused(tmp_path):
 
 WRITER = """
 import sys, pathlib
-from warpcontact.experiment.lock import writing
-with writing(pathlib.Path(sys.argv[1])):
+from warpcontact.experiment.lock import write_lock
+with write_lock(pathlib.Path(sys.argv[1])):
     print("writing", flush=True)
     sys.stdin.read()
 """

@@ -72,7 +72,7 @@ def test_stage_units_and_up_axis_are_converted_to_si_and_z_up(tmp_path):
 def test_stage_without_unit_is_in_centimeters_with_a_warning(tmp_path):
     scene = read(tmp_path, body(content=WEIGHT, pose=moved(100, 0, 0)), metadata={"metres": None})
     np.testing.assert_allclose(scene.bodies[0].position, (1, 0, 0))
-    assert any("its unit is 0.01 m" in remark for remark in scene.import_warnings)
+    assert any("the unit is 0.01 m" in remark for remark in scene.import_warnings)
 
 
 @pytest.mark.parametrize(
