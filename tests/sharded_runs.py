@@ -262,13 +262,13 @@ def send_signal_at_stage(number, stage):
     """Returns code that makes a process send itself the signal ``number`` when it reports the start of ``stage``."""
     return f"""
 import os
-from warpcontact import cli
-say = cli._say
+from warpcontact.cli import commands
+print_stage = commands._print_stage
 def saying(text):
-    say(text)
+    print_stage(text)
     if text.startswith({stage!r}):
         os.kill(os.getpid(), {int(number)})
-cli._say = saying
+commands._print_stage = saying
 """
 
 

@@ -191,7 +191,7 @@ def test_stop_signal_prints_resume_command_without_named_folder(study_folder, tm
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 @pytest.mark.parametrize(
-    ("number", "stage"), [(signal.SIGTERM, "sensor"), (signal.SIGTERM, "building"), (signal.SIGINT, "building")]
+    ("number", "stage"), [(signal.SIGTERM, "reading"), (signal.SIGTERM, "building"), (signal.SIGINT, "building")]
 )
 def test_stop_signal_before_the_first_step_reports_nothing_stored(number, stage, study_folder, tmp_path):
     out = tmp_path / "out"
@@ -209,7 +209,7 @@ def test_stop_signal_before_the_first_step_reports_nothing_stored(number, stage,
     ("stage", "words", "expected_message"),
     [
         ("building", ["--overwrite"], " before anything was saved; {out} is unchanged\n"),
-        ("sensor", ["--resume"], " before anything was done in {out}; to resume:\n    {resume}\n"),
+        ("reading", ["--resume"], " before anything was done in {out}; to resume:\n    {resume}\n"),
         ("compiling", ["--overwrite"], "; completed steps are saved in {out}; to resume:\n    {resume}\n"),
         ("writing", ["--resume"], "; the results are complete in {out}; to resume:\n    {resume}\n"),
     ],

@@ -297,7 +297,7 @@ def test_damaged_checkpoint_restarts_its_shard(damage, whole_run, part_run, copi
     else:
         sharded_runs.change(folder / "commit" / "shard_000001.json", steps=MOST, frames=MOST)
     with pytest.warns(
-        RuntimeWarning, match=rf"shard_000001 starts again: {path}: (is no whole|does not continue|must be of )"
+        RuntimeWarning, match=rf"shard_000001 starts again: {path}: (is no complete|does not continue|must be of )"
     ):
         wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
     assert sharded_runs.hashes(folder) == sharded_runs.hashes(whole_run)

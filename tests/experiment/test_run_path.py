@@ -52,7 +52,7 @@ BELOW = ACTIONS | {
     "status": lambda path: path.status(),
     "names": lambda path: path.names(),
     "create": lambda path: path.create(),
-    "replacing": lambda path: path.atomic_file().__enter__(),
+    "replacing": lambda path: path.replacing().__enter__(),
     "replaced": lambda path: path.replaced().__enter__(),
     "remove": lambda path: path.remove(),
     "move_to": lambda path: path.move_to(RunPath(path.root) / "moved"),
@@ -106,7 +106,7 @@ def test_new_file_replaces_a_prepared_link(target, run):
     plant(run / "file", target)
     plant(run / "file.partial", target)
     before = outside(run)
-    with (run / "file").atomic_file() as file:
+    with (run / "file").replacing() as file:
         file.write(b"mine")
     assert (run / "file").read() == b"mine"
     with (run / "named").replaced("file") as partial:
@@ -121,7 +121,7 @@ def test_new_file_replaces_a_prepared_link(target, run):
 
 def test_failed_block_leaves_the_old_file(run):
     path = run / "inner/file"
-    with pytest.raises(TypeError), path.atomic_file() as file:
+    with pytest.raises(TypeError), path.replacing() as file:
         file.writelines([b"part", None])
     assert path.read() == b"inner"
     assert (run / "inner").names() == ["file"]
@@ -158,7 +158,7 @@ def test_descriptors_for_synchronization_are_writable_on_windows(run, monkeypatc
         synchronize(descriptor)
 
     monkeypatch.setattr(os, "fsync", noted)
-    with (run / "file").atomic_file() as file:
+    with (run / "file").replacing() as file:
         file.write(b"mine")
         file.close()  # as a wrapper of the file does
     assert modes == [os.O_WRONLY]

@@ -98,7 +98,7 @@ def test_plan_selects_shard_size_by_memory(unsharded, device, tmp_path, monkeypa
 
     plan = varied().plan(device=device)
     assert (plan.envs, plan.shard, plan.shards) == (11, 11, 1)
-    assert "11 environments: all at once" in str(plan)
+    assert "11 environments: one shard" in str(plan)
     # Memory for some of them, in steps that resolve single environments.
     monkeypatch.setattr(footprint, "CAUTIOUS_FRACTION", 0.85)
     monkeypatch.setattr("warpcontact.experiment.plan.CAUTIOUS_FRACTION", 0.85)
@@ -112,7 +112,7 @@ def test_plan_selects_shard_size_by_memory(unsharded, device, tmp_path, monkeypa
     run = varied().run(tmp_path / "out", device=device)
     assert run.summary["shards"] == plan.shards > 1
     assert stored(run).identical(stored(unsharded))
-    with pytest.raises(MemoryError, match=r"shard 11: 11 environments need .*; at most \d+ at once fits on"):
+    with pytest.raises(MemoryError, match=r"shard 11: 11 environments need .*; at most \d+ fit on"):
         varied().run(tmp_path / "more", device=device, shard=11)
     assert not (tmp_path / "more").exists()
 
@@ -136,7 +136,7 @@ def test_plan_considers_memory_of_all_devices(monkeypatch):
     assert (plan.shard, plan.shards) == (4, 3)
     assert "available: 4 MiB of the memory of cuda:1" in str(plan)
     with pytest.raises(
-        MemoryError, match=r"shard 11: 11 environments need 5 MiB of the memory of cuda:1, .* 7 at"
+        MemoryError, match=r"shard 11: 11 environments need 5 MiB of the memory of cuda:1, .* at most 7 fit"
     ):
         varied().plan(device=["cpu", "cpu"], shard=11)
 

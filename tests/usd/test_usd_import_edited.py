@@ -51,7 +51,7 @@ def edit(path, change):
 )
 def test_unchanged_export_is_imported_without_warnings(recording, tmp_path, options):
     path = wc.export_usd(recording, tmp_path / "ours.usdc", **options)
-    assert wc.Scene.from_usd(path, trusted="clip_frames" in options).remarks == ()
+    assert wc.Scene.from_usd(path, trusted="clip_frames" in options).import_warnings == ()
 
 
 def test_export_with_varied_environments_is_imported_without_warnings(tmp_path):
@@ -59,7 +59,7 @@ def test_export_with_varied_environments_is_imported_without_warnings(tmp_path):
     model = scene.build(3, "cpu")
     model["scene.gravity"] = np.linspace((0, 0, -1.0), (1, 0, -9.0), 3)
     path = wc.export_usd(wc.Simulation(model, dt=1e-5).run(2e-5), tmp_path / "ours.usdc")
-    assert wc.Scene.from_usd(path).remarks == ()
+    assert wc.Scene.from_usd(path).import_warnings == ()
 
 
 def added(opened, path):
@@ -138,11 +138,11 @@ def test_referenced_export_with_other_bodies_reports_them(path, tmp_path):
         "/other: a collider",
         "/third: a rigid body",
     }
-    assert len(wc.Scene.from_usd(outer, skip_unsupported=True).remarks) == 3
+    assert len(wc.Scene.from_usd(outer, skip_unsupported=True).import_warnings) == 3
 
 
 def test_added_non_physics_prims_are_allowed(path):
     opened = Usd.Stage.Open(str(path))
     UsdGeom.Sphere.Define(opened, "/World/env_0/ball_1/look")
     opened.GetRootLayer().Save()
-    assert wc.Scene.from_usd(path).remarks == ()
+    assert wc.Scene.from_usd(path).import_warnings == ()

@@ -154,7 +154,7 @@ ELEMENTS = "/World/Description/Elements"
         ("contacts", "Elements/ball.warpcontact:kind", "build", "kind must be one of body, bodies"),
         ("contacts", "Elements/touch_1.warpcontact:entry", "all", "touch-1.entry must be one of"),
         ("contacts", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/ball"], "must come from add_point"),
-        ("contacts", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "that come before"),
+        ("contacts", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "must be earlier prims"),
         ("contacts", "Elements/touch_1.warpcontact:points", [], "points must have one target, got 0"),
         ("contacts", "Materials/material_0/law.warpcontact:type", "os.system", "there is no law 'os.system'"),
         ("contacts", "Materials/material_0/law.warpcontact:type", "Formula", "there is no law 'Formula'"),

@@ -323,7 +323,7 @@ def test_interrupted_film_keeps_the_existing_file(run, tmp_path, monkeypatch):
         (["-o", "{}/a.png", "--time", "1"], r"--time must be within the recording, 0 to 0\.2 s, got 1"),
         (["-o", "{}/a.png", "--time", "0", "0.1"], "--time must be one time for a picture, got 2"),
         (["-o", "{}/a.gif", "--time", "0"], "--time must be the first and the last time for a film, got 1"),
-        (["-o", "{}/a.gif", "--time", "0.1", "0.1"], "--time must be the first and a later last one"),
+        (["-o", "{}/a.gif", "--time", "0.1", "0.1"], "--time must be two ascending times"),
         (["-o", "{}/a.gif", "--fps", "60"], "--fps must be greater than 0 and at most 50"),
         (["-o", "{}/a.gif", "--fps", "0"], "--fps must be greater than 0"),
         (["-o", "{}/a.gif", "--speed", "-1"], "--speed must be greater than 0"),

@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> None:
     except ImportError as error:
         raise ValueError(str(error)) from None
     except ValueError as error:
-        raise ValueError(re.sub("^(port|speed|envs|device) (must|is)", r"--\1 \2", str(error))) from None
+        raise ValueError(re.sub("^(port|speed|envs|device) (must|is|applies)", r"--\1 \2", str(error))) from None
     print(f"{viewer.url}   (press Ctrl-C to stop)", flush=True)
     if arguments.open:
         viewer.open()
