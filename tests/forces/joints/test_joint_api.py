@@ -298,7 +298,7 @@ def test_contact_duration_estimate_uses_the_mobility_of_a_jointed_body(device):
         scene.add_contact(tip, wall, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
         with pytest.warns(wc.ContactWarning, match="a contact lasts (.*) s in") as caught:
             wc.Simulation(scene.build(device=device), dt=0.02).step()
-        return float(str(caught[0].message).partition("takes ")[2].partition(" s")[0])
+        return float(str(caught[0].message).partition("lasts ")[2].partition(" s")[0])
 
     free = shortest(wc.motions.Free())
     hinged = shortest(wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 0)))

@@ -233,7 +233,7 @@ def test_nonsmooth_contact_raises_for_unsupported_features(device):
     for own in (viscous, wc.ContactMaterial(law=wc.laws.Rigid(), friction=Own())):
         with pytest.raises(ValueError, match=r"touch\.friction is \w+, which has no coefficient of friction"):
             wc.Simulation(ball(material=own, device=device), 1e-3, HARD)
-    with pytest.raises(ValueError, match=r"Rigid is for nonsmooth contact, and has no force to compare"):
+    with pytest.raises(ValueError, match=r"Rigid is for nonsmooth contact and has no force to compare"):
         wc.compare.plot_laws(wc.laws.Rigid)
     scene = wc.Scene()
     body = scene.add_body(1.0, (0.1,) * 3, position=(0, 0, 1))

@@ -42,7 +42,7 @@ def ball(velocity, spin=(0.0, 0.0, 0.0), mass=2.0, radius=0.1, **options):
     return Step([(mass, 0.4 * mass * radius**2 * np.eye(3))], [(np.array(velocity), np.array(spin))], [row])
 
 
-def random_step(seed, bodies=5, contacts=10, mu=0.5, hinges=False, bounce=0.3):
+def random_step(seed, bodies=5, contacts=10, mu=0.5, hinges=False, restitution_speed=0.3):
     """Bodies in contact with each other and the world at random, approaching or separating."""
     rng = np.random.default_rng(seed)
     inverse_masses, velocities = [], []
@@ -183,11 +183,11 @@ def test_contact_between_bodies_conserves_momentum(solver):
 
 @both
 def test_contact_separates_at_its_bounce_velocity(solver):
-    result = ball([0.0, 0.0, -3.0], bounce=2.4).solve(solver)
+    result = ball([0.0, 0.0, -3.0], restitution_speed=2.4).solve(solver)
     np.testing.assert_allclose(result.velocity[0], [0, 0, 2.4, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(result.impulse[0], [0, 0, 2.0 * 5.4], atol=1e-11)
     # Separates faster than its restitution already: the impulse is zero.
-    result = ball([0.3, 0.0, 3.0], bounce=2.4, mu=0.5).solve(solver)
+    result = ball([0.3, 0.0, 3.0], restitution_speed=2.4, mu=0.5).solve(solver)
     np.testing.assert_allclose(result.velocity[0], [0.3, 0, 3.0, 0, 0, 0], atol=0)
     np.testing.assert_allclose(result.impulse, 0.0, atol=0)
 
@@ -262,7 +262,7 @@ def test_door_is_stopped_and_rebounds(solver):
     about = 0.3 + 4.0 * 0.25
     rate = -2.0
     velocity = (rate * np.cross(axis, arm), rate * axis)
-    stop = Row(0, WORLD, np.array([0.4, 0.0, 0.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.5, bounce=0.9)
+    stop = Row(0, WORLD, np.array([0.4, 0.0, 0.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.5, restitution_speed=0.9)
     step = Step([hinge(axis, arm, 4.0, inertia)], [velocity], [stop])
     result = step.solve(solver)
     after = 0.9 / 0.9  # velocity after the bounce over the lever arm
@@ -452,7 +452,7 @@ def test_random_systems_are_solved_or_reported_as_not_converged(hinges, mu):
     failed = 0
     for seed in range(1000):
         bodies = 2 + seed % 7
-        step = random_step(seed, bodies, 1 + seed % (2 * bodies), mu, hinges, bounce=0.0)
+        step = random_step(seed, bodies, 1 + seed % (2 * bodies), mu, hinges, restitution_speed=0.0)
         result = step.solve_in_turn(["gauss_seidel", "accelerated"], 1e-9, (300, 3000))
         true = step.residual(result.impulse, result.velocity)
         assert result.residual == pytest.approx(true, rel=1e-3, abs=1e-12)
