@@ -39,7 +39,7 @@ def run(tmp_path_factory):
 
 def ready(page):
     """Waits until the page shows its content, without notifications of viser."""
-    page.wait_for("document.querySelector('canvas') !== null && document.body.innerText.includes('Look at the')")
+    page.wait_for("document.querySelector('canvas') !== null && document.body.innerText.includes('Frame the')")
     # It appears after the first picture; software renderers are slow.
     page.wait_for(f"{NOTE} !== null || performance.now() > 15000")
     if page.evaluate(f"{NOTE} !== null"):
