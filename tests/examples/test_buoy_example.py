@@ -45,5 +45,5 @@ def test_buoy_example_comes_to_rest_at_the_center(device, tmp_path):
     assert float(recording["buoy.position"].isel(time=0, env=5, axis=0)) == 8.0
     # Figures in the text of the example.
     text = EXAMPLE.read_text()
-    for figure in (f"{-place:.4f} m deeper", f"{tension / 1e3:.2f} kN", f"{LENGTH - vertical / WEIGHT:.2f} m on"):
+    for figure in (f"{-place:.4f} m below", f"{tension / 1e3:.2f} kN", f"{LENGTH - vertical / WEIGHT:.2f} m on"):
         assert figure in text

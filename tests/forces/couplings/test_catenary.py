@@ -418,9 +418,7 @@ def test_too_long_step_for_taut_catenary_warns(device):
         warnings.simplefilter("error")
         sim.step()
     sim = wc.Simulation(cable_to((50.0, 0, 0), device=device), dt=0.0201)
-    with pytest.warns(
-        wc.ContactWarning, match="line: dt = 0.0201 s is too long for the taut cable: .* 0.063 s"
-    ):
+    with pytest.warns(wc.ContactWarning, match="line: dt = 0.0201 s is too long for the taut cable: .* 0.063 s"):
         sim.step()
 
 

@@ -262,7 +262,9 @@ def test_door_is_stopped_and_rebounds(solver):
     about = 0.3 + 4.0 * 0.25
     rate = -2.0
     velocity = (rate * np.cross(axis, arm), rate * axis)
-    stop = Row(0, WORLD, np.array([0.4, 0.0, 0.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.5, restitution_speed=0.9)
+    stop = Row(
+        0, WORLD, np.array([0.4, 0.0, 0.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.5, restitution_speed=0.9
+    )
     step = Step([hinge(axis, arm, 4.0, inertia)], [velocity], [stop])
     result = step.solve(solver)
     after = 0.9 / 0.9  # velocity after the bounce over the lever arm

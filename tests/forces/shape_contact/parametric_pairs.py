@@ -158,7 +158,7 @@ def classify_contacts(A, P, pairs, contacts, device="cpu"):
     there. If not, the point is that of the patch lowered along its normals until it is outside of the shape.
     """
     a, b, x, q, bend = pairs
-    gap, u = contacts["gap"], contacts["seed"]["u"][:, :2]
+    gap, u = contacts["gap"], contacts["warm_start"]["u"][:, :2]
     good, outside = contacts["status"] == MET, contacts["status"] == OUTSIDE
     size = np.zeros(len(x)) if A is S.Plane else outer(A, a)
     ball = np.full(len(x), np.inf) if A is S.Plane else size
@@ -213,7 +213,7 @@ def check_points(A, P, pairs, contacts):
     """Asserts that points lie on both, on a line along the normal of the patch, and the gap apart."""
     b = pairs[1]
     good = contacts["status"] == MET
-    u, n, gap = contacts["seed"]["u"][good], contacts["normal"][good], contacts["gap"][good]
+    u, n, gap = contacts["warm_start"]["u"][good], contacts["normal"][good], contacts["gap"][good]
     closest, normal = evaluate_surface(P, {name: value[good] for name, value in b.items()}, u[:, 0], u[:, 1])
     np.testing.assert_allclose(contacts["point_b"][good], closest, atol=1e-13)
     # Normals from numerical derivatives are accurate to 1e-10.
