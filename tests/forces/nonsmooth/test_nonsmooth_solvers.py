@@ -62,7 +62,7 @@ def random_step(seed, bodies=5, contacts=10, mu=0.5, hinges=False, restitution_s
     for _ in range(contacts):
         first, second = rng.choice(np.arange(WORLD, bodies), 2, replace=False)
         # Bodies with one degree of freedom cannot separate at all contacts simultaneously.
-        parting = 0.0 if hinges else bounce * rng.random()
+        parting = 0.0 if hinges else restitution_speed * rng.random()
         arm_1, arm_2 = rng.normal(size=3), rng.normal(size=3)
         rows.append(Row(first, second, arm_1, arm_2, unit(rng), mu * rng.random(), parting))
     return Step(inverse_masses, velocities, rows)
