@@ -57,5 +57,5 @@ install_wheel() {
     installed=$(ls -d "$2"/venv/lib/python3*/site-packages/warpcontact)
     diff -r -x __pycache__ -x kernels warpcontact "$installed"
     diff -r -x __pycache__ kernels "$installed/kernels"
-    cp -r tests examples "$2/"
+    cp -r tests examples pyproject.toml "$2/"
 }
