@@ -161,7 +161,6 @@ def test_pushed_block_example_agrees_with_statics(device, tmp_path, capsys):
 
 
 # Gauss–Seidel ends 4 of 500 steps above its tolerance, with a residual of at most 1e-5.
-@pytest.mark.filterwarnings("ignore:the contact problem did not converge")
 def test_wall_of_boxes_example_breaks_and_gains_no_energy(device, tmp_path, capsys):
     picture, animation = tmp_path / "wall.png", tmp_path / "wall.usdc"
     options = ["--columns", "3", "--rows", "2", "--duration", "0.5", "--device", device]
