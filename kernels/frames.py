@@ -1,15 +1,29 @@
 """Poses and velocities of points and surfaces fixed to a body or to the world; float64 conversion of vectors."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import rotations
 from warpcontact.kernels.types import structs
 
 
+class Functions(NamedTuple):
+    """Device functions of poses and velocities, for one precision."""
+
+    offset_between: wp.Function  # vector from the carrier of a surface to that of a point, W [m]
+    rotate_to_world: wp.Function  # vector in W, from the axes of a body
+    facing_fraction: wp.Function  # cosine between the inward surface normal and the normal of a point, ≥ 0
+    orientation_to_world: wp.Function  # rotation S → W of an element of a body
+    rotation_to_world: wp.Function  # rotation matrix B → W of a body
+    velocity_at: wp.Function  # velocity of a body at an arm from its center of mass, W [m/s]
+    copy_body: wp.Function  # copies the state of one body
+    wide: wp.Function  # vector in float64
+    narrow: wp.Function  # float64 vector, rounded
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
@@ -89,7 +103,7 @@ def functions(real: type) -> SimpleNamespace:
         """Rounds a float64 vector to ``real``."""
         return vec3(real(v[0]), real(v[1]), real(v[2]))
 
-    return SimpleNamespace(
+    return Functions(
         offset_between=offset_between,
         rotate_to_world=rotate_to_world,
         facing_fraction=facing_fraction,

@@ -2,14 +2,22 @@
 
 import functools
 import math
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.types import numbers
 
 
+class Functions(NamedTuple):
+    """Device functions of rotations, for one precision."""
+
+    matrix: wp.Function  # matrix of a quaternion
+    rotated: wp.Function  # quaternion rotated by a rotation vector in W, normalized
+    rotation_vector: wp.Function  # rotation vector of a quaternion, at most π long
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     n = numbers(real)
     vec3, quat, mat33 = n.vec3, n.quat, n.mat33
@@ -84,4 +92,4 @@ def functions(real: type) -> SimpleNamespace:
             return (two + sine * sine / real(3.0)) * v
         return (two * wp.atan2(sine, cosine) / sine) * v
 
-    return SimpleNamespace(matrix=matrix, rotated=rotated, rotation_vector=rotation_vector)
+    return Functions(matrix=matrix, rotated=rotated, rotation_vector=rotation_vector)

@@ -7,7 +7,7 @@ in world axes, at the center of mass. Quaternions are (x, y, z, w).
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -181,19 +181,52 @@ class BodyMotion:
     orientation: wp.quatd  # initial, B → W
 
 
+class Numbers(NamedTuple):
+    """Number types of one precision."""
+
+    real: type  # ``wp.float32`` or ``wp.float64``
+    vec3: type  # vector
+    quat: type  # quaternion (x, y, z, w)
+    mat33: type  # matrix
+    epsilon: float  # distance from 1 to the next larger number
+
+
 @functools.cache
-def numbers(real: type) -> SimpleNamespace:
+def numbers(real: type) -> Numbers:
     """Returns the vector, quaternion and matrix types of ``real`` (float32 or float64), and epsilon."""
     vec3, quat, mat33 = {
         wp.float32: (wp.vec3f, wp.quatf, wp.mat33f),
         wp.float64: (wp.vec3d, wp.quatd, wp.mat33d),
     }[real]
     epsilon = float(np.finfo(wp.dtype_to_numpy(real)).eps)
-    return SimpleNamespace(real=real, vec3=vec3, quat=quat, mat33=mat33, epsilon=epsilon)
+    return Numbers(real=real, vec3=vec3, quat=quat, mat33=mat33, epsilon=epsilon)
+
+
+class Structs(NamedTuple):
+    """Number types and structs of one precision."""
+
+    real: type  # ``wp.float32`` or ``wp.float64``
+    vec3: type  # vector
+    quat: type  # quaternion (x, y, z, w)
+    mat33: type  # matrix
+    epsilon: float  # distance from 1 to the next larger number
+    ContactGeometry: type  # geometric parameters of a contact
+    Cell: type  # cell of a face grid
+    Model: type  # bodies, points, surfaces, contacts and coupling ends
+    State: type  # state of bodies
+    History: type  # history of contacts
+    Contacts: type  # gap, normal, contact point and forces of contacts
+    CouplingExtremes: type  # closest approach of contact couplings
+    ActiveContacts: type  # contacts that later stages process, and wrenches of clusters
+    Cache: type  # distances cached from earlier steps
+    CouplingWrenches: type  # wrenches of couplings
+    Wrenches: type  # wrenches on bodies
+    NormalState: type  # arguments of a normal law
+    TangentialState: type  # arguments of a friction model
 
 
 @functools.cache
-def structs(real: type) -> SimpleNamespace:
+def structs(real: type) -> Structs:
     """Returns the structs for ``real`` (``wp.float32`` or ``wp.float64``) and the types of ``numbers``."""
     n = numbers(real)
     vec3, quat, mat33 = n.vec3, n.quat, n.mat33
@@ -441,8 +474,8 @@ def structs(real: type) -> SimpleNamespace:
         normal: vec3  # out of the surface, W
         axis: vec3  # unit tangent fixed to the surface, W; only for directional friction models
 
-    return SimpleNamespace(
-        **vars(n),
+    return Structs(
+        *n,
         ContactGeometry=ContactGeometry,
         Cell=Cell,
         Model=Model,
