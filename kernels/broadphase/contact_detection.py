@@ -8,7 +8,7 @@ contacts. The kernel writes ``Contacts``, ``ActiveContacts`` and ``Cache``. On a
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
@@ -37,8 +37,32 @@ from warpcontact.kernels.types import (
 )
 
 
+class Functions(NamedTuple):
+    """Structs and device functions of contact detection, for one part of the narrow phase."""
+
+    SetFrames: type  # frames of a point set and its surface
+    frames_of_set: wp.Function  # frames of a set in a state
+    DetectedContact: type  # result of the narrow phase for one contact
+    detect: wp.Function  # narrow-phase result of a contact
+    write_contact: wp.Function  # writes a result to ``Contacts``
+    update_contact: wp.Function  # detects a contact and writes it; displacement without contact [m], < 0: none
+    mark_far: wp.Function  # writes a contact that is far away on the outer side
+    contact_clearance: wp.Function  # clearance of a contact, from that of the center of its cluster [m]
+    can_cull: wp.Function  # whether a contact may be culled if its surroundings are far away
+    cluster_clearance: wp.Function  # lower bound on the distance of the center of a cluster [m]; < 0: unknown
+    probe_distance: wp.Function  # displacement after which the center of a cluster can cull again [m]
+    cull_by_cluster: wp.Function  # marks a contact as far if the clearance of its cluster is sufficient
+    safe_travel_for: wp.Function  # safe travel of a contact with a clearance [m]
+    extend_safe_travel: wp.Function  # extended safe travel of a culled contact [m]
+    has_uncached: wp.Function  # whether a contact of a cluster cannot be culled and has no cached faces
+    needs_history: wp.Function  # 1 if later stages must process a contact, otherwise 0
+    probe_if_useful: wp.Function  # clearance of the center of a cluster if it can cull [m]; < 0: unknown
+    store_result: wp.Function  # stores the result for one contact; its safe travel [m]
+    store_cluster_result: wp.Function  # stores the safe travel of a cluster
+
+
 @functools.cache
-def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
+def functions(real: type, tracks: bool, part: str) -> Functions:
     """Returns the device functions for ``real``. ``tracks`` and ``part``: see ``closest_point.functions``."""
     t = structs(real)
     Model, History, Contacts, ActiveContacts, Cache = t.Model, t.History, t.Contacts, t.ActiveContacts, t.Cache
@@ -279,7 +303,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         # A cluster with active contacts is evaluated in every step, because a step may be repeated.
         cache.cluster_safe_travel[env, cluster] = wp.where(active_count > 0, real(0.0), min_safe_travel)
 
-    return SimpleNamespace(
+    return Functions(
         SetFrames=SetFrames,
         frames_of_set=frames_of_set,
         DetectedContact=narrow.DetectedContact,

@@ -6,7 +6,6 @@ second launch (``remaining``). No face lists or safe travels are cached; only in
 """
 
 import functools
-from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels.broadphase import contact_detection
@@ -31,11 +30,10 @@ REGISTERS = 80
 
 
 @functools.cache
-def _functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
-    """Returns the device functions of ``contact_detection.functions`` and the compaction of clusters."""
+def _compact_function(real: type) -> wp.Function:
+    """Returns the device function that lists the contacts of a cluster."""
     t = structs(real)
     Model, ActiveContacts = t.Model, t.ActiveContacts
-    detection = contact_detection.functions(real, tracks, part)
 
     @wp.func
     def compact(model: Model, active_contacts: ActiveContacts, env: int, cluster: int):
@@ -50,7 +48,7 @@ def _functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         active_contacts.count[env, cluster] = count
         return count
 
-    return SimpleNamespace(**vars(detection), compact=compact)
+    return compact
 
 
 @functools.cache
@@ -66,12 +64,9 @@ def kernel(real: type, tracks: bool, width: int, search_now: bool) -> wp.Kernel:
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
     Contacts, ActiveContacts, Cache = t.Contacts, t.ActiveContacts, t.Cache
-    detection = _functions(real, tracks, DETECT_GRID_ANY if search_now else DETECT_GRID_FAR)
-    frames_of_set, cluster_clearance, compact = (
-        detection.frames_of_set,
-        detection.cluster_clearance,
-        detection.compact,
-    )
+    detection = contact_detection.functions(real, tracks, DETECT_GRID_ANY if search_now else DETECT_GRID_FAR)
+    frames_of_set, cluster_clearance = detection.frames_of_set, detection.cluster_clearance
+    compact = _compact_function(real)
     detect, write_contact, needs_history = detection.detect, detection.write_contact, detection.needs_history
     contact_clearance, can_cull = detection.contact_clearance, detection.can_cull
     SetFrames, DetectedContact, mark_far = detection.SetFrames, detection.DetectedContact, detection.mark_far
@@ -231,13 +226,13 @@ def remaining(real: type, tracks: bool) -> wp.Kernel:
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
     Contacts, ActiveContacts, Cache = t.Contacts, t.ActiveContacts, t.Cache
-    detection = _functions(real, tracks, DETECT_QUERY)
-    frames_of_set, update_contact, needs_history, compact = (
+    detection = contact_detection.functions(real, tracks, DETECT_QUERY)
+    frames_of_set, update_contact, needs_history = (
         detection.frames_of_set,
         detection.update_contact,
         detection.needs_history,
-        detection.compact,
     )
+    compact = _compact_function(real)
 
     @unique_kernel()
     def detect_remaining(

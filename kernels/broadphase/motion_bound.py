@@ -5,7 +5,7 @@ advancement (Mirtich 1996). A point whose clearance exceeded the travel since th
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -24,8 +24,17 @@ from warpcontact.kernels.types import (
 ROUNDING = 32.0
 
 
+class Functions(NamedTuple):
+    """Device functions of the motion bounds of point sets."""
+
+    set_pose: wp.Function  # pose of a set relative to its surface
+    displacement_bound: wp.Function  # bound on the displacement of its points since the last accumulation [m]
+    accumulate_travel: wp.Function  # adds the displacement of a set to its travel; travel plus rounding [m]
+    is_culled: wp.Function  # whether no point of a set can be in contact
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, quat, Model, State, Cache = t.vec3, t.quat, t.Model, t.State, t.Cache
@@ -119,7 +128,7 @@ def functions(real: type) -> SimpleNamespace:
         cache.set_safe_travel[env, set_index] = safe_travel
         return max_travel < safe_travel
 
-    return SimpleNamespace(
+    return Functions(
         set_pose=set_pose,
         displacement_bound=displacement_bound,
         accumulate_travel=accumulate_travel,

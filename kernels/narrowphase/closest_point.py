@@ -8,7 +8,7 @@ CPU searches in that precision, with the BVH of ``bvh_search.py``.
 
 import functools
 import math
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -63,8 +63,20 @@ DEFERRED = -math.inf
 TRACKED = LATCHED | SWEPT
 
 
+class Functions(NamedTuple):
+    """Structs and device functions of one part of the narrow phase."""
+
+    SetFrames: type  # frames of a point set and its surface
+    DetectedContact: type  # result for one contact
+    frames_of_set: wp.Function  # frames of a set in a state
+    detect: wp.Function  # result of a contact
+    mark_far: wp.Function  # writes a contact that is far away on the outer side
+    write_contact: wp.Function  # writes a result to ``Contacts``
+    update_contact: wp.Function  # detects a contact and writes it; displacement without contact [m], < 0: none
+
+
 @functools.cache
-def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
+def functions(real: type, tracks: bool, part: str) -> Functions:
     """Returns the struct ``SetFrames`` and the device functions for ``real``.
 
     With ``tracks``, latched and swept contacts track the surface: on the inner side, their closest point is found
@@ -532,7 +544,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         write_contact(detected, contacts, env, contact)
         return detected.clearance
 
-    return SimpleNamespace(
+    return Functions(
         SetFrames=SetFrames,
         DetectedContact=DetectedContact,
         frames_of_set=frames_of_set,

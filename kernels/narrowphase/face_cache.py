@@ -10,7 +10,7 @@ remains nearest.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.lowlevel import simd
@@ -28,8 +28,23 @@ MIN_RELATIVE_DISTANCE = 0.002
 LOOKAHEAD_STEPS = 20.0
 
 
+class Functions(NamedTuple):
+    """Device functions of cached faces."""
+
+    distance_gradient: wp.Function  # gradient of the distance of a face
+    store_face_list: wp.Function  # stores the header of a list
+    distance_lower_bound: wp.Function  # lower bound on the distance of a face from a shifted point
+    cache_face: wp.Function  # stores the distance of a face and its gradient
+    face_capacity: wp.Function  # number of faces that can be cached per contact
+    cached_closest: wp.Function  # ``cached_nearest`` or, if that fails, ``nearest_candidate``
+    nearest_candidate_simd: wp.Function  # ``nearest_candidate``, testing the bounds of several faces at a time
+    nearest_candidate: wp.Function  # closest point on the cached faces, if the list suffices
+    no_cached_point: wp.Function  # invalid result, for kernels without a face cache
+    cached_nearest: wp.Function  # closest point on the stored nearest face and its tied candidates, if still valid
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
@@ -367,7 +382,7 @@ def functions(real: type) -> SimpleNamespace:
             result = nearest_candidate(model, query_mesh, cache, env, contact, p, step)
         return result
 
-    return SimpleNamespace(
+    return Functions(
         distance_gradient=distance_gradient,
         store_face_list=store_face_list,
         distance_lower_bound=distance_lower_bound,

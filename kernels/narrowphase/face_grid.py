@@ -5,7 +5,7 @@ no cached data of earlier steps. ``fill_face_grid.py`` fills the cells.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.lowlevel.warps import lowest_set_bit
@@ -21,8 +21,15 @@ LIST_ALIGNMENT = 4
 OVERLAP = 1.001
 
 
+class Functions(NamedTuple):
+    """Device functions of face grids."""
+
+    cell_at: wp.Function  # cell of a point in the mesh frame; without a grid, an empty cell
+    closest_in_cell: wp.Function  # closest point on the faces of a list
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, Model, Cell = t.vec3, t.Model, t.Cell
@@ -96,4 +103,4 @@ def functions(real: type) -> SimpleNamespace:
             best.distance = wp.length(best.to_point)
         return best
 
-    return SimpleNamespace(cell_at=cell_at, closest_in_cell=closest_in_cell)
+    return Functions(cell_at=cell_at, closest_in_cell=closest_in_cell)

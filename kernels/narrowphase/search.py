@@ -4,7 +4,7 @@ With a cache, a CPU searches with its own BVH: ``bvh_search.py``.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -16,8 +16,17 @@ from warpcontact.kernels.types import structs
 QUERY_ROUNDING = 16.0
 
 
+class Functions(NamedTuple):
+    """Device functions of mesh queries."""
+
+    max_coordinate: wp.Function  # largest absolute coordinate, which determines rounding
+    query_error: wp.Function  # how much nearer the nearest face may be than the one that a query found
+    faces_within: wp.Function  # faces within a reach, and possibly others
+    refine_closest: wp.Function  # closest point among all faces about as near as a given one
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, Model = t.vec3, t.Model
@@ -81,7 +90,7 @@ def functions(real: type) -> SimpleNamespace:
         best.distance = wp.length(best.to_point)
         return best
 
-    return SimpleNamespace(
+    return Functions(
         max_coordinate=max_coordinate,
         query_error=query_error,
         faces_within=faces_within,

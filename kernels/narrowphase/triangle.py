@@ -4,14 +4,21 @@ Sign and direction of a contact follow from the pseudonormal of the feature, not
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.types import structs
 
 
+class Functions(NamedTuple):
+    """Struct and device function of the closest point of a triangle."""
+
+    Hit: type  # closest point and its feature
+    closest_to_origin: wp.Function  # point of a triangle closest to the origin, and its feature
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3 = t.vec3
@@ -83,4 +90,4 @@ def functions(real: type) -> SimpleNamespace:
             hit.feature = feature
         return hit
 
-    return SimpleNamespace(Hit=Hit, closest_to_origin=closest_to_origin)
+    return Functions(Hit=Hit, closest_to_origin=closest_to_origin)
