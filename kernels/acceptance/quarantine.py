@@ -1,14 +1,22 @@
 """Checks the state after a step: non-finite, too fast or too far away."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.types import NO_CAUSE, NON_FINITE, TOO_FAR, TOO_FAST, structs
 
 
+class GuardParts(NamedTuple):
+    """Structs of the health check of a step, and its device function."""
+
+    Guard: type  # limits of environments, and causes of failures
+    Limits: type  # squared limits on the motion of the center of mass
+    failure_cause: wp.Function  # failure cause of a proposed state, or NO_CAUSE
+
+
 @functools.cache
-def guard(real: type) -> SimpleNamespace:
+def guard(real: type) -> GuardParts:
     """Returns the struct ``Guard`` and the device function ``failure_cause`` for one precision."""
     vec3 = structs(real).vec3
 
@@ -41,4 +49,4 @@ def guard(real: type) -> SimpleNamespace:
             return TOO_FAR
         return NO_CAUSE
 
-    return SimpleNamespace(Guard=Guard, Limits=Limits, failure_cause=failure_cause)
+    return GuardParts(Guard=Guard, Limits=Limits, failure_cause=failure_cause)

@@ -6,7 +6,6 @@ Used by point contact on meshes, shape contact and particle contact.
 import functools
 import math
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import warp as wp
@@ -64,8 +63,15 @@ def array_struct(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
     return named_struct(name, tuple((part, wp.array2d(dtype=dtype)) for part, dtype in elements))
 
 
+class KinematicsStructs(NamedTuple):
+    """Structs of the inputs and outputs of a contact evaluation."""
+
+    ContactKinematics: type  # kinematics of a contact at its point K
+    ContactForce: type  # force of the second body on the first
+
+
 @functools.cache
-def kinematics_structs(real: type) -> SimpleNamespace:
+def kinematics_structs(real: type) -> KinematicsStructs:
     """Returns the structs of the inputs and outputs of a contact evaluation."""
     vec3 = structs(real).vec3
 
@@ -94,7 +100,7 @@ def kinematics_structs(real: type) -> SimpleNamespace:
         friction_force: vec3  # W [N]
         torque: vec3  # rolling and torsional friction, W [N·m]
 
-    return SimpleNamespace(ContactKinematics=ContactKinematics, ContactForce=ContactForce)
+    return KinematicsStructs(ContactKinematics=ContactKinematics, ContactForce=ContactForce)
 
 
 class Functions(NamedTuple):

@@ -5,7 +5,7 @@ their coefficients are arrays. Model, state and history are inputs and are not c
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -25,8 +25,17 @@ from warpcontact.kernels.types import (
 )
 
 
+class Functions(NamedTuple):
+    """Device functions of a closed contact of one group."""
+
+    contact_wrench: wp.Function  # wrench of a closed contact on both bodies
+    clear_history: wp.Function  # clears the history variables of an open contact: ``contact_evaluation.Functions``
+    write_no_force: wp.Function  # writes zero forces for an open contact and clears its history variables
+    add_wrench: wp.Function  # adds a force and a torque to the wrench of a body, atomically
+
+
 @functools.cache
-def functions(contact_model: ContactModel, real: type, has_joints: bool, projected: bool) -> SimpleNamespace:
+def functions(contact_model: ContactModel, real: type, has_joints: bool, projected: bool) -> Functions:
     """Returns the device functions of a closed contact; for the arguments see ``kernel``."""
     t = structs(real)
     vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
@@ -140,7 +149,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
             wp.atomic_add(wrenches.force, env, body, force_W)
             wp.atomic_add(wrenches.torque, env, body, torque_W)
 
-    return SimpleNamespace(
+    return Functions(
         contact_wrench=contact_wrench,
         clear_history=clear_history,
         write_no_force=write_no_force,

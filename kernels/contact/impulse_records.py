@@ -1,14 +1,25 @@
 """Structs of nonsmooth contact that persist across steps: materials, stored impulses, statistics."""
 
 import functools
-from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels.types import structs
 
 
+class RecordStructs(NamedTuple):
+    """Structs of nonsmooth contact that persist across steps, in one precision."""
+
+    NonsmoothMaterial: type  # parameters of a contact, or of all pairs of a particle contact
+    StoredImpulse: type  # impulse of the last step in which a contact was active
+    StoredImpulses: Any  # type of an array of stored impulses [env, contact]
+    StepStatistics: type  # statistics of each environment since reset
+    RestitutionLimit: type  # search for the largest restitution that adds no energy to an environment
+    DisplayedImpulses: type  # impulses of the last step, for sensors
+
+
 @functools.cache
-def record_structs(real: type) -> SimpleNamespace:
+def record_structs(real: type) -> RecordStructs:
     """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``."""
     vec3 = structs(real).vec3
 
@@ -64,7 +75,7 @@ def record_structs(real: type) -> SimpleNamespace:
         impulse: wp.array2d(dtype=vec3)  # [env, contact] on the first body, W [N·s]
         mode: wp.array2d(dtype=wp.int32)  # [env, contact] MODE_*
 
-    return SimpleNamespace(
+    return RecordStructs(
         NonsmoothMaterial=NonsmoothMaterial,
         StoredImpulse=StoredImpulse,
         StoredImpulses=wp.array2d(dtype=StoredImpulse),

@@ -1,7 +1,7 @@
 """Sums cluster wrenches, coupling wrenches and external wrenches per body."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
@@ -24,8 +24,15 @@ def reset_queues(queue_count: wp.array(dtype=wp.int32)):
         queue_count[kind] = 0
 
 
+class Functions(NamedTuple):
+    """Device functions of the wrench on a body about its center of mass."""
+
+    external_wrench: wp.Function  # of external forces and couplings
+    body_wrench: wp.Function  # of these and of the contacts, summed in a fixed order
+
+
 @functools.cache
-def functions(real: type, has_couplings: bool, has_external_forces: bool) -> SimpleNamespace:
+def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Functions:
     """Returns the device functions of the wrench on a body: ``external_wrench``; ``body_wrench`` adds contacts.
 
     Args:
@@ -73,7 +80,7 @@ def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Sim
                     wrench.torque += active_contacts.torque_2[env, cluster]
         return wrench
 
-    return SimpleNamespace(external_wrench=external_wrench, body_wrench=body_wrench)
+    return Functions(external_wrench=external_wrench, body_wrench=body_wrench)
 
 
 @functools.cache

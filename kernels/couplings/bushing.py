@@ -1,7 +1,7 @@
 """Bushings: springs and dampers in six directions between frames of two bodies."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames, rotations
@@ -19,8 +19,15 @@ from warpcontact.kernels.types import (
 )
 
 
+class BushingStructs(NamedTuple):
+    """Structs of bushings, in one precision."""
+
+    Settings: type  # parameters of a bushing
+    Bushings: type  # measured quantities of bushings
+
+
 @functools.cache
-def bushing_structs(real: type) -> SimpleNamespace:
+def bushing_structs(real: type) -> BushingStructs:
     """Returns the structs of bushings in one precision. Frame F: axes of the bushing, fixed to its first body."""
     t = structs(real)
     vec3, quat = t.vec3, t.quat
@@ -43,7 +50,7 @@ def bushing_structs(real: type) -> SimpleNamespace:
         torque: wp.array2d(dtype=vec3)  # [env, bushing] on the second body, F [N·m]
         status: wp.array2d(dtype=wp.int32)  # [env, bushing] COUPLING_*
 
-    return SimpleNamespace(Settings=Settings, Bushings=Bushings)
+    return BushingStructs(Settings=Settings, Bushings=Bushings)
 
 
 @functools.cache

@@ -6,7 +6,7 @@ floor: ``grounded_line.py``.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -56,8 +56,14 @@ class CatenarySolution:
     grounded: wp.array2d(dtype=wp.int32)  # [env, line] 1: partly on the floor
 
 
+class LineStructs(NamedTuple):
+    """Structs of catenaries, in one precision."""
+
+    Lines: type  # measured quantities of catenaries
+
+
 @functools.cache
-def line_structs(real: type) -> SimpleNamespace:
+def line_structs(real: type) -> LineStructs:
     """Returns the struct of the measured quantities of catenaries in one precision."""
 
     @wp.struct
@@ -73,11 +79,18 @@ def line_structs(real: type) -> SimpleNamespace:
         # As of the last accepted step
         failures: wp.array2d(dtype=wp.int32)  # [env, line] steps without a solution
 
-    return SimpleNamespace(Lines=Lines)
+    return LineStructs(Lines=Lines)
+
+
+class Placement(NamedTuple):
+    """Device functions of the geometry of a catenary."""
+
+    point_position: wp.Function  # position of a point, W [m]
+    vertical_plane: wp.Function  # vertical plane of a catenary between two positions
 
 
 @functools.cache
-def placement(real: type, floored: bool) -> SimpleNamespace:
+def placement(real: type, floored: bool) -> Placement:
     """Returns the device functions of the geometry of a catenary; ``floored``: whether there is a floor."""
     t = structs(real)
     vec3, Model, State = t.vec3, t.Model, t.State
@@ -141,7 +154,7 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
             plane.origin = position_b + raised_b * plane.up
         return plane
 
-    return SimpleNamespace(point_position=point_position, vertical_plane=vertical_plane)
+    return Placement(point_position=point_position, vertical_plane=vertical_plane)
 
 
 @functools.cache

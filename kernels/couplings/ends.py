@@ -1,15 +1,24 @@
 """Positions and velocities of the ends of couplings, and the wrench of a force at an end."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.types import structs
 
 
+class Functions(NamedTuple):
+    """Device functions of the ends of couplings."""
+
+    arm: wp.Function  # arm of a point, W [m]
+    separation: wp.Function  # vector from the first point to the second, W [m]
+    velocity: wp.Function  # velocity of a point, W [m/s]
+    pull: wp.Function  # writes a force at an end and its torque
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``.
 
     The arm of a point is its position relative to the center of mass of its body or to its anchor in the world, W
@@ -53,4 +62,4 @@ def functions(real: type) -> SimpleNamespace:
         ends.force[env, end] = force_W
         ends.torque[env, end] = wp.cross(arm_W, force_W)
 
-    return SimpleNamespace(arm=arm, separation=separation, velocity=velocity, pull=pull)
+    return Functions(arm=arm, separation=separation, velocity=velocity, pull=pull)

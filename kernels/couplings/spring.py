@@ -4,7 +4,6 @@ Spring and damper are compiled into the kernel, once per combination of classes 
 """
 
 import functools
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import warp as wp
@@ -35,8 +34,18 @@ class SpringModel(NamedTuple):
     damper: type[Damper]
 
 
+class SpringStructs(NamedTuple):
+    """Structs of spring-dampers, in one precision."""
+
+    Settings: type  # parameters of a spring-damper apart from those of its models
+    Springs: type  # measured quantities and history of spring-dampers
+    Stretch: type  # arguments of spring and damper models at one instant
+    Row: type  # row of a table over the distance
+    Tables: type  # rows of all tables of a model
+
+
 @functools.cache
-def spring_structs(real: type) -> SimpleNamespace:
+def spring_structs(real: type) -> SpringStructs:
     """Returns the structs of spring-dampers in one precision."""
     vec3 = structs(real).vec3
     vec4 = {wp.float32: wp.vec4f, wp.float64: wp.vec4d}[real]
@@ -88,7 +97,7 @@ def spring_structs(real: type) -> SimpleNamespace:
         rows: wp.array(dtype=vec4)  # start, value, slope, integral
         first: wp.array(dtype=wp.int32)  # [spring + 1] first row
 
-    return SimpleNamespace(Settings=Settings, Springs=Springs, Stretch=Stretch, Row=Row, Tables=Tables)
+    return SpringStructs(Settings=Settings, Springs=Springs, Stretch=Stretch, Row=Row, Tables=Tables)
 
 
 @functools.cache

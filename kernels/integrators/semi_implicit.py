@@ -1,7 +1,7 @@
 """Time integration of rigid bodies: one kernel per scheme, from ``state_in`` to ``state_out``."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames, rotations
@@ -43,8 +43,17 @@ def _spin(real: type) -> wp.Function:
     return spin
 
 
+class EulerParts(NamedTuple):
+    """Device functions of a semi-implicit Euler step of a free body, and the struct of its health check."""
+
+    Guard: type  # limits of environments, and causes of failures: ``quarantine.py``
+    stepped_body: wp.Function  # state of a body after a step
+    write_body: wp.Function  # writes that state
+    step_failure_cause: wp.Function  # failure cause of that state, or NO_CAUSE
+
+
 @functools.cache
-def euler(real: type) -> SimpleNamespace:
+def euler(real: type) -> EulerParts:
     """Returns the device functions of a semi-implicit Euler step of a free body.
 
     Velocities are advanced first, from the wrenches at ``state_in``; positions follow with the new velocities.
@@ -123,7 +132,7 @@ def euler(real: type) -> SimpleNamespace:
             return NO_CAUSE
         return failure_cause(body_step.position, body_step.velocity, body_step.spin, guard.limits[env, 0])
 
-    return SimpleNamespace(
+    return EulerParts(
         Guard=Guard, stepped_body=stepped_body, write_body=write_body, step_failure_cause=step_failure_cause
     )
 

@@ -5,7 +5,7 @@ to the rounding of the state.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames, rotations
@@ -90,8 +90,25 @@ def arm_of(motion: BodyMotion, q: wp.quatd):
     return wp.quat_rotate(q, wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor))
 
 
+class Functions(NamedTuple):
+    """Device functions that read and write states and models of one precision, and the struct ``Guard``."""
+
+    wide: wp.Function  # vector in float64
+    narrow: wp.Function  # float64 vector, rounded
+    matrix_to_float64: wp.Function  # matrix in float64
+    quat_to_float64: wp.Function  # rotation in float64, normalized
+    quat_from_float64: wp.Function  # float64 rotation, rounded
+    put: wp.Function  # sets the center of mass, with its rounding remainder
+    set_velocity: wp.Function  # sets the linear and angular velocity
+    check_body: wp.Function  # marks the step as failed if the state is invalid or a load is NaN
+    Guard: type  # limits of environments, and causes of failures: ``quarantine.py``
+    moved: wp.Function  # pose on the joint after a step with given mean velocities
+    mobility: wp.Function  # inverse effective mass of a body with a joint for a force along a direction [1/kg]
+    rotated: wp.Function  # float64 rotation, rotated by a rotation vector in W
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions that read and write states and models of precision ``real``."""
     t = structs(real)
     vec3, quat, mat33, Model, State, Wrenches = t.vec3, t.quat, t.mat33, t.Model, t.State, t.Wrenches
@@ -237,7 +254,7 @@ def functions(real: type) -> SimpleNamespace:
             result = wp.dot(lever_B, wp.inverse(inertia_B) * lever_B)
         return real(wp.max(result, MIN_INVERSE_MASS))
 
-    return SimpleNamespace(
+    return Functions(
         wide=wide,
         narrow=narrow,
         matrix_to_float64=matrix_to_float64,

@@ -6,8 +6,7 @@ body at rest on it would have in the scheme: with semi-implicit Euler the mean o
 """
 
 import functools
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels import rotations
@@ -28,8 +27,17 @@ def coefficients_struct(motion: type[Motion]) -> Any:
     return coefficient_struct(motion, wp.float64)
 
 
+class _Functions(NamedTuple):
+    """Device functions of a motion as a function of time, in float64."""
+
+    rotation_at: wp.Function  # rotation from the initial orientation
+    offset_at: wp.Function  # displacement of the center of mass, W [m]
+    mean_velocities: wp.Function  # mean linear and angular velocity between two times
+    accelerations: wp.Function  # linear and angular acceleration
+
+
 @functools.cache
-def _functions(motion: type[Motion]) -> SimpleNamespace:
+def _functions(motion: type[Motion]) -> _Functions:
     Coefficients = coefficients_struct(motion)
     turning = rotations.functions(wp.float64)
     rotated, rotation_vector = turning.rotated, turning.rotation_vector
@@ -76,7 +84,7 @@ def _functions(motion: type[Motion]) -> SimpleNamespace:
         duration = wp.float64(0.5) * (after - before)
         return (v_after - v_before) / duration, (w_after - w_before) / duration
 
-    return SimpleNamespace(
+    return _Functions(
         rotation_at=rotation_at, offset_at=offset_at, mean_velocities=mean_velocities, accelerations=accelerations
     )
 

@@ -1,7 +1,7 @@
 """Positions, energies and momenta of bodies and contact points, in float64 for any precision."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -39,8 +39,16 @@ class Points:
     position: wp.array2d(dtype=wp.vec3d)  # [env, contact] K, where the force acts, W [m]
 
 
+class _Functions(NamedTuple):
+    """Device functions of the motion of a body."""
+
+    wide: wp.Function  # vector in float64
+    position: wp.Function  # center of mass, W, float64 [m]
+    spin: wp.Function  # angular momentum about the center of mass, W [kg·m²/s]
+
+
 @functools.cache
-def _functions(real: type) -> SimpleNamespace:
+def _functions(real: type) -> _Functions:
     """Returns the device functions for position and angular momentum of a body."""
     t = structs(real)
     Model, State = t.Model, t.State
@@ -58,7 +66,7 @@ def _functions(real: type) -> SimpleNamespace:
         w_W = state.body_angular_velocity[env, body]
         return wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
 
-    return SimpleNamespace(wide=wide, position=position, spin=spin)
+    return _Functions(wide=wide, position=position, spin=spin)
 
 
 @functools.cache
