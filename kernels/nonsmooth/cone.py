@@ -6,7 +6,7 @@ De Saxcé's ŵ = (w_n + μ |w_t|, w_t), Coulomb's law with Signorini's condition
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -16,8 +16,18 @@ from warpcontact.kernels.types import structs
 MAX_STEPS = 80
 
 
+class Functions(NamedTuple):
+    """Device functions of the friction cone, in contact axes."""
+
+    basis: wp.Function  # two unit vectors normal to a unit vector; the three are right-handed
+    project: wp.Function  # point of the cone that is nearest to a vector
+    residual: wp.Function  # violation of the contact law, in units of the impulse
+    one_contact: wp.Function  # solution of one contact, exact to rounding
+    open_or_slipping_contact: wp.Function  # solution of a contact that cannot stick
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``, ``wp.float32`` or ``wp.float64``."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33
@@ -197,7 +207,7 @@ def functions(real: type) -> SimpleNamespace:
                     return vec3(l_n, l1, l2)
         return open_or_slipping_contact(W, b, mu)
 
-    return SimpleNamespace(
+    return Functions(
         basis=basis,
         project=project,
         residual=residual,

@@ -4,7 +4,7 @@ A contact has ``dim`` rows: its normal, then one or two tangents. W, mu and rho 
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
@@ -45,8 +45,20 @@ class Dense:
     iterations: wp.array(dtype=wp.int32)  # [problem] number of iterations
 
 
+class _Functions(NamedTuple):
+    """Device functions of problems with a dense matrix."""
+
+    load: wp.Function  # vector of one contact
+    store: wp.Function  # sets the vector of one contact
+    velocity: wp.Function  # W x + q of one contact
+    velocities: wp.Function  # writes W x + q to ``w``; residual of x
+    project: wp.Function  # point of the cone that is nearest to a vector
+    residual: wp.Function  # relative violation of the contact law by one contact
+    one_contact: wp.Function  # solution of one contact, exact to rounding
+
+
 @functools.cache
-def _functions(dim: int) -> SimpleNamespace:
+def _functions(dim: int) -> _Functions:
     f = cone.functions(wp.float64)
     cone_residual = f.residual
 
@@ -90,7 +102,7 @@ def _functions(dim: int) -> SimpleNamespace:
             largest = wp.max(largest, residual(load(x, e, i), v, mu, p.rho[k, i], p.unit[e, i]))
         return largest
 
-    return SimpleNamespace(load=load, store=store, velocity=velocity, velocities=velocities,
+    return _Functions(load=load, store=store, velocity=velocity, velocities=velocities,
                            project=f.project, residual=residual, one_contact=f.one_contact)  # fmt: skip
 
 

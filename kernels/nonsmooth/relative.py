@@ -1,7 +1,7 @@
 """Relative velocities at a contact, of a state and of the bodies of a solve."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -9,8 +9,17 @@ from warpcontact.kernels.nonsmooth.rows import body_response_struct
 from warpcontact.kernels.types import structs
 
 
+class Functions(NamedTuple):
+    """Device functions of the velocity of the first body relative to the second, W."""
+
+    before: wp.Function  # at K, in a state [m/s]
+    after: wp.Function  # at K, in a solve [m/s]
+    spin_before: wp.Function  # angular, in a state [rad/s]
+    spin_after: wp.Function  # angular, in a solve [rad/s]
+
+
 @functools.cache
-def functions(real: type, moves: bool) -> SimpleNamespace:
+def functions(real: type, moves: bool) -> Functions:
     """Returns the device functions for ``real``; all give the first body relative to the second.
 
     With ``moves`` some bodies have joints.
@@ -55,4 +64,4 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
             difference -= body_response[env, body_2].angular
         return difference
 
-    return SimpleNamespace(before=before, after=after, spin_before=spin_before, spin_after=spin_after)
+    return Functions(before=before, after=after, spin_before=spin_before, spin_after=spin_after)

@@ -8,7 +8,7 @@ steps change nothing; the error of an iteration would grow from step to step.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -17,20 +17,24 @@ from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.types import structs
 
 
+class Functions(NamedTuple):
+    """Device functions of bodies that come to rest."""
+
+    #: ``(body_response, velocity_change, env)``: whether all bodies in contact were at rest before the step.
+    at_rest: wp.Function
+    #: ``(rows, body_response, velocity_change, scratch, env, count)``: stops all bodies in contact. Returns 1 on
+    #: success, and 0 if it changed nothing. In each pair of bodies in contact, the one with the larger index must
+    #: be supported by the other one only; their contacts must be consecutive rows and not collinear. ``before``
+    #: and ``last_sweep`` of ``scratch`` are overwritten by the impulse.
+    solve_rest: wp.Function
+    #: ``(rows, body_response, velocity_change, env, count, solved)``: removes, after a solve, rounding errors of
+    #: the velocity of stopped bodies and of bodies that were at rest.
+    zero_rest_velocities: wp.Function
+
+
 @functools.cache
-def functions(real: type, Scratch: type) -> SimpleNamespace:
-    """Returns the device functions for ``real``; all bodies must be free.
-
-    ``at_rest(body_response, velocity_change, env)``: whether all bodies in contact were at rest before the step.
-
-    ``solve_rest(rows, body_response, velocity_change, scratch, env, count)`` stops all bodies in contact. It
-    returns 1 on success, and 0 if it changed nothing. In each pair of bodies in contact, the one with the larger
-    index must be supported by the other one only; their contacts must be consecutive rows and not collinear.
-    ``Scratch`` is the struct of a row; ``before`` and ``last_sweep`` are overwritten by the impulse.
-
-    ``zero_rest_velocities(rows, body_response, velocity_change, env, count, solved)`` removes, after a solve,
-    rounding errors of the velocity of stopped bodies and of bodies that were at rest.
-    """
+def functions(real: type, Scratch: type) -> Functions:
+    """Returns the device functions for ``real``; all bodies must be free. ``Scratch`` is the struct of a row."""
     vec3, mat33 = structs(real).vec3, structs(real).mat33
     Rows = row_structs(real).Rows
     BodyResponse = wp.array2d(dtype=body_response_struct(real, False))
@@ -275,4 +279,4 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
                     body_response[env, body].linear = vec3()
                     body_response[env, body].angular = vec3()
 
-    return SimpleNamespace(at_rest=at_rest, solve_rest=solve_rest, zero_rest_velocities=zero_rest_velocities)
+    return Functions(at_rest=at_rest, solve_rest=solve_rest, zero_rest_velocities=zero_rest_velocities)

@@ -5,18 +5,23 @@ then two tangents computed from it by ``cone.basis``.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels.types import structs
 
 
-@functools.cache
-def row_structs(real: type) -> SimpleNamespace:
-    """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``.
+class RowStructs(NamedTuple):
+    """Structs of the contact problem of a step, in one precision."""
 
-    ``Rows`` is the type of an array of rows [env, row]. Rows from ``SolveResult.count`` on are not valid.
-    """
+    Row: type  # a contact that is active in a step
+    Rows: Any  # type of an array of rows [env, row]; those from ``SolveResult.count`` on are not valid
+    SolveResult: type  # number of rows, and result of a solve
+
+
+@functools.cache
+def row_structs(real: type) -> RowStructs:
+    """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``."""
     vec3 = structs(real).vec3
 
     @wp.struct
@@ -50,7 +55,7 @@ def row_structs(real: type) -> SimpleNamespace:
         iterations: wp.array(dtype=wp.int32)  # [env]
         converged: wp.array(dtype=wp.int32)  # [env] 1: the tolerance was reached
 
-    return SimpleNamespace(Row=Row, Rows=wp.array2d(dtype=Row), SolveResult=SolveResult)
+    return RowStructs(Row=Row, Rows=wp.array2d(dtype=Row), SolveResult=SolveResult)
 
 
 @functools.cache

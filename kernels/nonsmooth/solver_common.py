@@ -7,7 +7,7 @@ heavy one.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -16,8 +16,20 @@ from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.types import structs
 
 
+class Functions(NamedTuple):
+    """Device functions that the solvers of a step share."""
+
+    clear_change: wp.Function  # sets all velocity changes to zero
+    initialize_row: wp.Function  # applies the warm start of a row; q, ρ, trace of its block, finiteness check
+    spread_speed_scale: wp.Function  # assigns the same V to all bodies connected by contacts
+    residual_scale: wp.Function  # (ρ V)² of a row between two bodies [N²·s²]
+    nesterov_step: wp.Function  # next θ of Nesterov's method, and the factor for extrapolation
+    apply_change: wp.Function  # adds the velocity changes to the velocities
+    report_solve: wp.Function  # writes the result of a solve
+
+
 @functools.cache
-def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
+def functions(real: type, moves: bool, rolls: bool) -> Functions:
     """Returns the device functions for ``real``; with ``moves`` some bodies have joints.
 
     With ``rolls`` some contacts have rolling or spinning resistance.
@@ -165,7 +177,7 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
         solve_result.iterations[env] = iterations
         solve_result.converged[env] = converged
 
-    return SimpleNamespace(
+    return Functions(
         clear_change=clear_change,
         initialize_row=initialize_row,
         spread_speed_scale=spread_speed_scale,

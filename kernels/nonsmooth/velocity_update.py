@@ -6,7 +6,7 @@ prescribed separation speed.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -33,8 +33,27 @@ def velocity_change_struct(real: type) -> type:
     return VelocityChange
 
 
+class Functions(NamedTuple):
+    """Device functions of the response of bodies to impulses, and of the friction cone in W."""
+
+    project_couple: wp.Function  # nearest couple within the limits of rolling and spinning
+    projected_normal: wp.Function  # normal part of the projection of an impulse and a couple onto their cone
+    velocity_change_at: wp.Function  # velocity change at an arm from the center of mass [m/s]
+    relative_spin_change: wp.Function  # change of the angular velocity of the first body relative to the second
+    apply_impulse: wp.Function  # adds the response of a body to an impulse and an angular impulse
+    apply_impulse_pair: wp.Function  # adds the responses of two bodies to opposite impulses
+    response_trace: wp.Function  # trace of the block of a body, a measure of its mobility [1/kg]
+    angular_response_trace: wp.Function  # trace of the response to angular impulses [1/(kg·m²)]
+    impulse_response: wp.Function  # velocity change at an arm by an impulse there [m/s]
+    block: wp.Function  # velocity change at an arm per impulse there [1/kg]
+    project_onto_cone: wp.Function  # admissible impulse nearest to an impulse
+    invert_symmetric: wp.Function  # inverse of a symmetric block, and whether it exists
+    de_saxce_velocity: wp.Function  # velocity plus μ times the slip speed along the normal
+    residual_squared: wp.Function  # squared violation of the contact law
+
+
 @functools.cache
-def functions(real: type, moves: bool) -> SimpleNamespace:
+def functions(real: type, moves: bool) -> Functions:
     """Returns the device functions for ``real``; with ``moves`` some bodies have joints."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33
@@ -272,7 +291,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
             share = a * mu / across
         return rest * rest + wp.length_sq(l_t - share * z_t)
 
-    return SimpleNamespace(
+    return Functions(
         project_couple=project_couple,
         projected_normal=projected_normal,
         velocity_change_at=velocity_change_at,
