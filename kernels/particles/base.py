@@ -6,7 +6,6 @@ stores the record of the pair. The first particle of a pair is the one with the 
 """
 
 import functools
-from types import SimpleNamespace
 from typing import NamedTuple
 
 import warp as wp
@@ -43,8 +42,18 @@ def owns_pair(particle: int, other_particle: int):
     return (((particle + other_particle) & 1) == 1) == (particle < other_particle)
 
 
+class ParticleStructs(NamedTuple):
+    """Structs of particle contact, in one precision."""
+
+    ParticleContactSettings: type  # parameters of a particle contact
+    Particles: type  # the particles
+    NeighborLists: type  # neighbors per particle
+    PairRecords: type  # records of pairs
+    CellList: type  # work arrays for building the lists
+
+
 @functools.cache
-def particle_structs(real: type) -> SimpleNamespace:
+def particle_structs(real: type) -> ParticleStructs:
     """Returns the structs of particle contact for ``real``."""
     vec3 = structs(real).vec3
 
@@ -119,7 +128,7 @@ def particle_structs(real: type) -> SimpleNamespace:
         key: wp.array2d(dtype=wp.int32)  # [env, entry] neighbor index, plus the number of particles if not owned
         key_count: wp.array2d(dtype=wp.int32)  # [env, particle] number of keys
 
-    return SimpleNamespace(
+    return ParticleStructs(
         ParticleContactSettings=ParticleContactSettings,
         Particles=Particles,
         NeighborLists=NeighborLists,

@@ -1,7 +1,7 @@
 """Poses of particles, closest points of two particles, and their relative curvatures."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -57,14 +57,22 @@ def closest_on_segments(d: wp.vec3d, g: wp.vec3d, h: wp.vec3d):
     return s, t
 
 
-@functools.cache
-def functions(traits: ParticleTraits, real: type) -> SimpleNamespace:
-    """Returns the device functions for particles with the given traits.
+class Functions(NamedTuple):
+    """Structs and device functions for particles with given traits."""
 
-    ``axis_point(particles, state, env, particle)``: pose of a particle. ``closest_approach(first, second)``:
-    closest points of two. ``curvatures(pair, first, second, radius_1, radius_2)``: relative principal curvatures,
-    smaller first [1/m].
-    """
+    AxisPoint: type  # pose of a particle
+    ClosestApproach: type  # closest points of the axes of two particles
+    #: ``(particles, state, env, particle)``: pose of a particle.
+    axis_point: wp.Function
+    #: ``(first, second)``: closest points of two particles.
+    closest_approach: wp.Function
+    #: ``(pair, first, second, radius_1, radius_2)``: relative principal curvatures, the smaller first [1/m].
+    curvatures: wp.Function
+
+
+@functools.cache
+def functions(traits: ParticleTraits, real: type) -> Functions:
+    """Returns the device functions for particles with the given traits."""
     t = structs(real)
     vec3, State = t.vec3, t.State
     Particles = particle_structs(real).Particles
@@ -148,7 +156,7 @@ def functions(traits: ParticleTraits, real: type) -> SimpleNamespace:
         round_2 = k_2 - side_2
         return smaller + (round_1 + round_2), larger + (round_1 + round_2)
 
-    return SimpleNamespace(
+    return Functions(
         AxisPoint=AxisPoint,
         ClosestApproach=ClosestApproach,
         axis_point=axis_point,

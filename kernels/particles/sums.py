@@ -1,7 +1,7 @@
 """Sums particle contact forces to the wrenches of bodies, in a fixed order."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
@@ -18,8 +18,15 @@ from warpcontact.kernels.types import (
 )
 
 
+class Functions(NamedTuple):
+    """Struct and device function for the sum of the contacts of a particle."""
+
+    WrenchSum: type  # wrench on a body, and number of contacts
+    add_particle: wp.Function  # a sum, plus the contacts of a particle in list order
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the struct ``WrenchSum`` and the device function that sums contacts of a particle in list order."""
     t, p = structs(real), particle_structs(real)
     vec3, State = t.vec3, t.State
@@ -83,7 +90,7 @@ def functions(real: type) -> SimpleNamespace:
                     total.torque += torque_on_second(state, particles, env, neighbor, particle, force, torque)
         return total
 
-    return SimpleNamespace(WrenchSum=WrenchSum, add_particle=add_particle)
+    return Functions(WrenchSum=WrenchSum, add_particle=add_particle)
 
 
 @functools.cache

@@ -4,8 +4,7 @@ All computations are in float64, independent of the precision of the model.
 """
 
 import functools
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -54,8 +53,15 @@ class RelativePose:
     offset: vec3d  # origin of b from its carrier, W [m]
 
 
+class Functions(NamedTuple):
+    """Device functions of the poses of shapes."""
+
+    body_rotation: wp.Function  # rotation B → W of a body, float64
+    pose: wp.Function  # ``RelativePose`` of two shapes
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     State = structs(real).State
     wide = frames.functions(real).wide
@@ -95,17 +101,21 @@ def functions(real: type) -> SimpleNamespace:
         found.x = wp.quat_rotate_inv(found.q_W, found.body_offset + (offset_a - found.offset))
         return found
 
-    return SimpleNamespace(body_rotation=body_rotation, pose=pose)
+    return Functions(body_rotation=body_rotation, pose=pose)
+
+
+class PairFunctions(NamedTuple):
+    """Device functions of the contact of a pair of shape classes."""
+
+    #: ``(state, env, contact, contact_shapes, shapes_a, shapes_b)``: the ``RelativePose``.
+    relative_pose: wp.Function
+    #: ``(env, contact, contact_shapes, shapes_a, shapes_b, pose, warm_start)``: the ``ShapeContactPoint``.
+    find_contact: wp.Function
 
 
 @functools.cache
-def pair_functions(kind_a: type[Shape], kind_b: type[Shape], real: type) -> SimpleNamespace:
-    """Returns the device functions of a pair of shape classes.
-
-    ``relative_pose`` takes ``(state, env, contact, contact_shapes, shapes_a, shapes_b)`` and returns the
-    ``RelativePose``. ``find_contact`` takes ``(env, contact, contact_shapes, shapes_a, shapes_b, pose,
-    warm_start)`` and returns the ``ShapeContactPoint``.
-    """
+def pair_functions(kind_a: type[Shape], kind_b: type[Shape], real: type) -> PairFunctions:
+    """Returns the device functions of a pair of shape classes."""
     from warpcontact.kernels.shapes.pair_dispatch import (
         pair_function,  # imports the solvers, which only shape contacts need
     )
@@ -142,16 +152,22 @@ def pair_functions(kind_a: type[Shape], kind_b: type[Shape], real: type) -> Simp
         p_b = shapes_b.coefficients[env, contact_shapes.shape_b[contact]]
         return solve_pair(p_a, p_b, pose.x, pose.q, warm_start)
 
-    return SimpleNamespace(relative_pose=relative_pose, find_contact=find_contact)
+    return PairFunctions(relative_pose=relative_pose, find_contact=find_contact)
+
+
+class CurvatureFunctions(NamedTuple):
+    """Device functions of the curvatures of a pair of shape classes."""
+
+    #: ``(env, contact, contact_shapes, shapes_a, shapes_b, pose, contact_point)``: the ``PairCurvature``.
+    curvature: wp.Function
+    #: ``(env, contact, contact_shapes, shapes_a, shapes_b, relative)``: radius of rolling and of the contact
+    #: patch: 1/κ₂ of the gap, at most the smaller bounding radius [m].
+    radius: wp.Function
 
 
 @functools.cache
-def curvature_functions(kind_a: type[Shape], kind_b: type[Shape]) -> SimpleNamespace:
+def curvature_functions(kind_a: type[Shape], kind_b: type[Shape]) -> CurvatureFunctions:
     """Returns the device functions for the curvatures of a pair of shape classes.
-
-    ``curvature`` takes ``(env, contact, contact_shapes, shapes_a, shapes_b, pose, contact_point)`` and returns the
-    ``PairCurvature``. ``radius`` takes ``(env, contact, contact_shapes, shapes_a, shapes_b, relative)`` and
-    returns the radius of rolling and of the contact patch: 1/κ₂ of the gap, at most the smaller bounding radius.
 
     Raises:
         TypeError: If a shape has no curvature function.
@@ -193,7 +209,7 @@ def curvature_functions(kind_a: type[Shape], kind_b: type[Shape]) -> SimpleNames
             return one / relative.k_2
         return largest
 
-    return SimpleNamespace(curvature=curvature, radius=radius)
+    return CurvatureFunctions(curvature=curvature, radius=radius)
 
 
 def bounding_radius(kind: type[Shape]) -> wp.Function:

@@ -4,7 +4,7 @@ Margins (spheres that round the edges) only shift g and are excluded: all values
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
@@ -19,8 +19,21 @@ def perpendicular(n: vec3d):
     return wp.normalize(vec3d(-n[1], n[0], zero))
 
 
+class Functions(NamedTuple):
+    """Structs and the device function of the separation of a pair of shape classes."""
+
+    Separation: type  # separation along a direction, with points and curvatures
+    KinkMatrix: type  # matrix with one row per kink, at least one
+    KinkVector: type  # vector with one element per kink, at least one
+    CoefficientsA: type  # coefficients of shape a
+    CoefficientsB: type  # coefficients of shape b
+    evaluate_separation: wp.Function  # separation along a unit vector
+    kink_count: int  # number of kinks of both shapes
+    kink_count_a: int  # number of kinks of shape a, which come first
+
+
 @functools.cache
-def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
+def functions(A: type[Shape], B: type[Shape]) -> Functions:
     """Returns the struct ``Separation`` of a pair and the device functions that use it."""
     CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
     kink_count, kink_count_a = A.kinks + B.kinks, A.kinks
@@ -70,7 +83,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 separation.value -= wp.abs(separation.kink_values[i])
         return separation
 
-    return SimpleNamespace(
+    return Functions(
         Separation=Separation,
         KinkMatrix=KinkMatrix,
         KinkVector=KinkVector,

@@ -1,8 +1,7 @@
 """Defines the structs of shape contacts: shapes on a device, settings, results and warm starts."""
 
 import functools
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import coefficient_struct, named_struct
@@ -55,8 +54,14 @@ def shapes_struct(kind: type[Shape]) -> Any:
     return named_struct(f"{kind.__name__}Shapes", fields)
 
 
+class ShapeContactStructs(NamedTuple):
+    """Structs of shape contacts, in one precision."""
+
+    ShapeContacts: type  # contacts of a set of shape pairs
+
+
 @functools.cache
-def shape_contact_structs(real: type) -> SimpleNamespace:
+def shape_contact_structs(real: type) -> ShapeContactStructs:
     """Returns the structs of shape contacts in one precision. Normals point out of shape b, towards shape a."""
     t = structs(real)
     vec3, quat = t.vec3, t.quat
@@ -87,7 +92,7 @@ def shape_contact_structs(real: type) -> SimpleNamespace:
         # History
         entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not in contact
 
-    return SimpleNamespace(ShapeContacts=ShapeContacts)
+    return ShapeContactStructs(ShapeContacts=ShapeContacts)
 
 
 #: Arrays that are allocated only if a law or a friction model reads them.

@@ -11,7 +11,7 @@ bisection handles jumps and kinks of the function.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.shapes.base import half, real, two, zero
@@ -19,6 +19,22 @@ from warpcontact.kernels.shapes.base import half, real, two, zero
 # Default length of the first stride, and number of strides; each is twice as long as the one before.
 FIRST_STRIDE = 1.0e-3
 MAX_STRIDES = wp.constant(wp.int32(9))
+
+
+class Functions(NamedTuple):
+    """Struct of a search for a root, and its device functions."""
+
+    Search: type  # state of a search
+    #: ``(low, a, f_a, high, b, f_b)``: a search between a and b or, if they are equal, from there.
+    start: wp.Function
+    #: ``(search)``: whether it has a bracket.
+    is_bracketed: wp.Function
+    #: ``(search)``: whether there is a point to evaluate.
+    is_running: wp.Function
+    #: ``(search)``: that point.
+    next_point: wp.Function
+    #: ``(search, at, f, sample)``: the search with the value and sample at that point.
+    update: wp.Function
 
 
 @functools.cache
@@ -29,14 +45,8 @@ def functions(
     max_steps: int,
     min_width: float,
     first: float = FIRST_STRIDE,
-) -> SimpleNamespace:
+) -> Functions:
     """Returns the struct ``Search`` and its device functions.
-
-    - ``start(low, a, f_a, high, b, f_b)``: a search between a and b or, if they are equal, from there,
-    - ``is_bracketed(search)``: whether it has a bracket,
-    - ``is_running(search)``: whether there is a point to evaluate,
-    - ``next_point(search)``: that point,
-    - ``update(search, at, f, sample)``: the search with the value and sample at that point.
 
     Args:
         Sample: Struct of data stored for both ends of the bracket.
@@ -120,7 +130,7 @@ def functions(
                 search.steps = wp.int32(0)
         return search
 
-    return SimpleNamespace(
+    return Functions(
         Search=Search,
         start=start,
         is_bracketed=is_bracketed,

@@ -12,7 +12,7 @@ rounding.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.shapes import pair, zonotope
@@ -72,8 +72,17 @@ def newton(q_11: real, q_12: real, q_22: real, rho: vec2d):
     return along_high * high + along_low * low
 
 
+class Functions(NamedTuple):
+    """Structs and the device function of an ascent on the separation of a pair of shape classes."""
+
+    ascend: wp.Function  # ascent from a direction
+    AscentResult: type  # end of an ascent
+    CoefficientsA: type  # coefficients of shape a
+    CoefficientsB: type  # coefficients of shape b
+
+
 @functools.cache
-def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
+def functions(A: type[Shape], B: type[Shape]) -> Functions:
     """Returns the struct ``AscentResult`` and the device function ``ascend``."""
     pair_functions = pair.functions(A, B)
     KinkVector, CoefficientsA, CoefficientsB, evaluate_separation = (
@@ -466,6 +475,6 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             result.point_b += (separation.disc_radius_b / disc) * across
         return result
 
-    return SimpleNamespace(
+    return Functions(
         ascend=ascend, AscentResult=AscentResult, CoefficientsA=CoefficientsA, CoefficientsB=CoefficientsB
     )
