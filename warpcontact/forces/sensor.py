@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+
+from warpcontact.storage.model_arrays import ModelArrays
 
 #: Name and labels of the last axis of vectors (3) and quaternions (4).
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
@@ -51,7 +52,7 @@ class Sensor:
     name: str
     unit: str
     meaning: str
-    array: Callable[[SimpleNamespace], wp.array]
+    array: Callable[[ModelArrays], wp.array]
     needs: tuple[str, ...] = ()
     items: int = 0
     total: bool = False

@@ -7,7 +7,6 @@ Each cell stores its clearance and the faces that may be nearest to a point in i
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from warpcontact.algebra.vectors import bounds
 from warpcontact.kernels.narrowphase.face_grid import LIST_ALIGNMENT, LIST_STRIDE
-from warpcontact.kernels.types import SIDE_KNOWN_NOWHERE
+from warpcontact.kernels.types import SIDE_KNOWN_NOWHERE, Structs
 from warpcontact.storage.allocation_plan import AllocationPlan
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ class FaceGrid:
         return int(np.prod(self.counts))
 
 
-def make_grids(made: "QueryMeshes", device: wp.Device, t: SimpleNamespace) -> list[FaceGrid] | None:
+def make_grids(made: "QueryMeshes", device: wp.Device, t: Structs) -> list[FaceGrid] | None:
     """Returns the grids of all query meshes; ``None`` if one cannot have a grid, or grids are not faster.
 
     Grids are not used on a CPU, for swept contacts, and for meshes without a side region; the face cache is then used.
@@ -85,7 +84,7 @@ def make_grids(made: "QueryMeshes", device: wp.Device, t: SimpleNamespace) -> li
     return grids or None
 
 
-def make_grid(query_mesh: "QueryMesh", radius: float, t: SimpleNamespace) -> FaceGrid | None:
+def make_grid(query_mesh: "QueryMesh", radius: float, t: Structs) -> FaceGrid | None:
     """Returns the grid of a query mesh; ``None`` if it would need too much memory or have too many candidates.
 
     Args:
@@ -127,7 +126,7 @@ def make_grid(query_mesh: "QueryMesh", radius: float, t: SimpleNamespace) -> Fac
 
 
 def declare_grids(
-    grids: Sequence[FaceGrid] | None, query_meshes: int, model: Any, layout: AllocationPlan, t: SimpleNamespace
+    grids: Sequence[FaceGrid] | None, query_meshes: int, model: Any, layout: AllocationPlan, t: Structs
 ) -> None:
     """Declares the grids of the query meshes of ``model``; they are filled when they are allocated."""
     rows = grids or [FaceGrid(np.zeros(3), (0, 0, 0), 1.0, 0.0, 0, 0.0, 0)] * query_meshes

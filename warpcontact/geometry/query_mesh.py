@@ -7,7 +7,6 @@ The sign of the distance is determined by the angle-weighted pseudonormal of the
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from warpcontact.geometry.bvh import FaceBvh, build_bvh, declare_bvhs
 from warpcontact.geometry.face_grid import FaceGrid, declare_grids
 from warpcontact.geometry.side_regions import SideRegion, side_region_of
 from warpcontact.kernels.lowlevel.simd import WIDTH
-from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BOUNDARY, FEATURE_COUNT
+from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BOUNDARY, FEATURE_COUNT, Structs
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.examine import SLIVER_LIMIT
 from warpcontact.meshes.topology import angles, area_vectors, directions, slenderness
@@ -248,7 +247,7 @@ def upload_query_meshes(
     grids: list[FaceGrid] | None,
     model: Any,
     layout: AllocationPlan,
-    t: SimpleNamespace,
+    t: Structs,
 ) -> list[wp.Mesh]:
     """Declares the query meshes of ``model``, with face grids if there are ``grids``.
 

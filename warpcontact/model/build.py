@@ -6,7 +6,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +33,7 @@ from warpcontact.model.split_model import SplitModel
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.scene import Body, Contact, Scene
 from warpcontact.storage.allocation_plan import AllocationPlan
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack, split
 from warpcontact.system.devices import find_devices
 from warpcontact.validation import checks
@@ -179,7 +179,7 @@ def _plan_on_device(target: wp.Device, common: _SharedTables) -> DeviceModelPlan
     )
 
 
-def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace) -> None:
+def _add_bodies(scene: Scene, arrays: ModelArrays, parameters: Parameters, t: types.Structs) -> None:
     bodies, model = scene.bodies, arrays.model
     mass = Field(np.concatenate([body.rows("mass") for body in bodies]))
     device_mass = parameters.device_field(model, "body_mass", t.real, lambda: mass.values)
@@ -212,7 +212,7 @@ def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
 
 
 def _add_points(
-    scene: Scene, arrays: SimpleNamespace, layout: AllocationPlan, parameters: Parameters, t: SimpleNamespace
+    scene: Scene, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters, t: types.Structs
 ) -> tuple[Callable[[], Array], list[Parameter]]:
     """Adds the points; returns a function of their positions (1 or envs, points, 3), and the parameters they depend on.
 
@@ -278,7 +278,7 @@ def _add_points(
 
 
 def _add_surfaces(
-    scene: Scene, arrays: SimpleNamespace, layout: AllocationPlan, parameters: Parameters, t: SimpleNamespace
+    scene: Scene, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters, t: types.Structs
 ) -> None:
     surfaces, model = scene.surfaces, arrays.model
     bodies = [types.WORLD if surface.body is None else surface.body.index for surface in surfaces]
@@ -337,10 +337,10 @@ def _add_contacts(
     start_of: dict[Contact, int],
     first_mesh_of: dict[Contact, int],
     couplings: ContactCouplings,
-    arrays: SimpleNamespace,
+    arrays: ModelArrays,
     layout: AllocationPlan,
     parameters: Parameters,
-    t: SimpleNamespace,
+    t: types.Structs,
 ) -> None:
     model = arrays.model
     counts = np.array([contact.count for contact in contacts], dtype=np.intp)
@@ -415,7 +415,7 @@ def _add_vector(
     unit: str,
     struct: Any,
     attribute: str,
-    t: SimpleNamespace,
+    t: types.Structs,
 ) -> tuple[Field, list[DeviceField]]:
     """Adds a vector parameter of all bodies."""
     field = Field(np.concatenate([body.rows(key) for body in bodies]))
@@ -427,7 +427,7 @@ def _add_vector(
 
 
 def _add_remainder(
-    parameters: Parameters, position: Field, device_fields: list[DeviceField], initial: Any, t: SimpleNamespace
+    parameters: Parameters, position: Field, device_fields: list[DeviceField], initial: Any, t: types.Structs
 ) -> None:
     """Adds the rounding remainder of the position of all bodies, which depends on the position."""
 
@@ -438,7 +438,7 @@ def _add_remainder(
 
 
 def _add_orientation(
-    parameters: Parameters, bodies: list[Body], struct: Any, attribute: str, t: SimpleNamespace
+    parameters: Parameters, bodies: list[Body], struct: Any, attribute: str, t: types.Structs
 ) -> None:
     """Adds the orientation of all bodies."""
     field = Field(np.concatenate([body.rows("orientation") for body in bodies]))

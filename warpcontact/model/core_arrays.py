@@ -1,6 +1,5 @@
 """Arrays of a model that steps write: state, contact history, contacts, wrenches and caches."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -8,9 +7,9 @@ import warp as wp
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.query_mesh import QueryMeshes
 from warpcontact.kernels import types
-from warpcontact.model.scene_traits import SENSOR_ARRAYS
 from warpcontact.scene.scene import Scene
 from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.state_storage import COUNT, SWITCH
 
 #: Status values of environments between steps; all others occur within a step only.
@@ -19,13 +18,13 @@ BETWEEN_STEPS = frozenset((types.ENV_ACTIVE, types.ENV_FROZEN, types.ENV_STOPPED
 
 def declare_arrays(
     scene: Scene,
-    t: SimpleNamespace,
+    t: types.Structs,
     layout: AllocationPlan,
     clusters: ContactClusters,
     query_meshes: QueryMeshes,
     *,
     uses_face_grid: bool,
-) -> SimpleNamespace:
+) -> ModelArrays:
     """Declares the arrays of a model; structs of parameters are returned empty.
 
     Args:
@@ -42,7 +41,7 @@ def declare_arrays(
     bodies, each, parts = per_env(body_count), per_env(contacts), per_env(clusters.count)
     # Interleave: only a few of many contacts are accessed. With one contact per environment, all are, in order.
     records = contacts > 1
-    arrays = SimpleNamespace(
+    arrays = ModelArrays(
         model=t.Model(),
         initial=t.State(),
         state=layout.struct("state", t.State, bodies),
@@ -62,10 +61,6 @@ def declare_arrays(
         cache=_cache(t, layout, clusters, records, None if uses_face_grid else query_meshes),
         uses_face_grid=uses_face_grid,
         faces_read=query_meshes.faces_read(),
-        **dict.fromkeys(
-            ("status", "time", "zero_step", "constrained", "active_status")
-        ),  # allocated with the model
-        **dict.fromkeys(SENSOR_ARRAYS),  # allocated by the first sensor that needs them
     )
     layout.array("state", arrays, "status", wp.int32, per_env(), ranges={"status": BETWEEN_STEPS})
     layout.array("state", arrays, "time", wp.float64, per_env())
@@ -76,7 +71,7 @@ def declare_arrays(
 
 
 def _cache(
-    t: SimpleNamespace,
+    t: types.Structs,
     layout: AllocationPlan,
     made: ContactClusters,
     records: bool,

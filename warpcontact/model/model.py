@@ -5,7 +5,6 @@
 
 from collections.abc import Collection, Iterable, Mapping, Set
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,12 +18,14 @@ from warpcontact.forces.joints.joint_data import PrescribedMotionSet
 from warpcontact.forces.sensor import Sensor
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
+from warpcontact.kernels.types import Structs
 from warpcontact.model.environments import Environments
 from warpcontact.model.scene_traits import SENSOR_ARRAYS, SHAPE_CONTACT_MEASURES, SceneTraits
 from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages, needs_contacts
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.storage.allocation_plan import AllocationPlan, broadcast
 from warpcontact.storage.memory_estimate import MemoryItem
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import DeviceField, Parameter, parameter_memory
 from warpcontact.system.capture_lock import shared_capture_lock
 
@@ -95,9 +96,9 @@ class Model(Environments, SceneTraits):
         envs: int,
         device: wp.Device,
         precision: str,
-        types: SimpleNamespace,
+        types: Structs,
         layout: AllocationPlan,
-        arrays: SimpleNamespace,
+        arrays: ModelArrays,
         parameters: dict[str, Parameter],
         device_fields: list[DeviceField],
         groups: list[ContactGroup],

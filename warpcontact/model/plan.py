@@ -5,7 +5,6 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
@@ -16,6 +15,7 @@ from warpcontact.forces.joints.joint_data import PrescribedMotionSet
 from warpcontact.forces.sensor import Sensor
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
+from warpcontact.kernels.types import Structs
 from warpcontact.model.model import Model
 from warpcontact.model.scene_traits import SceneTraits
 from warpcontact.model.split_model import SplitModel
@@ -23,6 +23,7 @@ from warpcontact.scene.scene import Contact, Scene
 from warpcontact.stepping.requirements import stepping_memory
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.memory_estimate import MemoryEstimate, MemoryItem, require, total
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import Parameter, Parameters, parameter_memory
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.devices import split_evenly
@@ -60,9 +61,9 @@ class DeviceModelPlan(SceneTraits):
     scene: Scene
     device: wp.Device
     precision: str
-    types: SimpleNamespace
+    types: Structs
     layout: AllocationPlan
-    arrays: SimpleNamespace
+    arrays: ModelArrays
     parameters: Parameters
     groups: list[ContactGroup]
     couplings: list[CouplingSet]

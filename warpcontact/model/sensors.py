@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
@@ -16,9 +15,10 @@ from warpcontact.kernels.couplings import contact_coupling
 from warpcontact.kernels.joints import Motion
 from warpcontact.kernels.joints.measures import Coordinates, Reactions
 from warpcontact.kernels.outcomes import body_measures
-from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
+from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, Structs
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.scene.status import ContactStatus
+from warpcontact.storage.model_arrays import ModelArrays
 
 if TYPE_CHECKING:
     from warpcontact.forces.couplings.coupling_set import CouplingSet
@@ -76,7 +76,7 @@ _COUPLING = {
 
 def sensors_of(
     scene: Scene,
-    types: SimpleNamespace,
+    types: Structs,
     start_of: Mapping[Contact, int],
     groups: Sequence[ContactGroup],
     contact_couplings: ContactCouplings,
@@ -117,7 +117,7 @@ def sensors_of(
     def add_column(
         name: str, unit: str, meaning: str, part: str, attribute: str, own: int | slice, **options: Any
     ) -> None:
-        def array(arrays: SimpleNamespace) -> wp.array:
+        def array(arrays: ModelArrays) -> wp.array:
             return getattr(getattr(arrays, part), attribute)[:, own]
 
         add(name, unit, meaning, array, shape=shape_in(structs[part], attribute), **options)

@@ -8,7 +8,6 @@ of environments from memory, so a worker uses the same graphs for every slice. A
 
 from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
@@ -58,6 +57,31 @@ class StepLengths:
     to_full: wp.array
 
 
+@dataclass(eq=False)
+class _LengthArrays:
+    """Memory of step lengths, one for all environments [1, 1] [s]; ``None`` before allocation.
+
+    Attributes:
+        full: Time step.
+        substep: Substep.
+        to_substep: Change from a time step to a substep.
+        to_full: Change from a substep to a time step.
+        full_clock: Time step, in float64.
+        full_half_clock: Half of it.
+        substep_clock: Substep, in float64.
+        substep_half_clock: Half of it.
+    """
+
+    full: Any = None
+    substep: Any = None
+    to_substep: Any = None
+    to_full: Any = None
+    full_clock: Any = None
+    full_half_clock: Any = None
+    substep_clock: Any = None
+    substep_half_clock: Any = None
+
+
 class StepBuffers:
     """Device buffers for stepping a model; valid after ``allocate``.
 
@@ -96,7 +120,7 @@ class StepBuffers:
         if self.nonsmooth is not None:
             self.nonsmooth.monitored = self.monitor is not None
         # A reference keeps this memory alive; ``times`` are views of it.
-        self._lengths = SimpleNamespace()
+        self._lengths = _LengthArrays()
         substep = dt / substeps
         lengths = {"full": dt, "substep": substep, "to_substep": substep - dt, "to_full": dt - substep}
         for name, length in lengths.items():

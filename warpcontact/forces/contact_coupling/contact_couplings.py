@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,8 +9,10 @@ import warp as wp
 
 from warpcontact.algebra.poses import transform_points
 from warpcontact.kernels.couplings import contact_coupling as kernels
+from warpcontact.kernels.types import Structs
 from warpcontact.scene.elements import ENABLED, RANGE, Contact
 from warpcontact.storage.allocation_plan import AllocationPlan, per_env
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import DeviceField, Field, Parameters
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
@@ -90,9 +91,8 @@ class ContactCouplings:
                 convert=checks.switches,
             )
 
-    def declare(self, arrays: SimpleNamespace, layout: AllocationPlan, t: SimpleNamespace) -> None:
+    def declare(self, arrays: ModelArrays, layout: AllocationPlan, t: Structs) -> None:
         """Declares the arrays of extremes and of the contacts of couplings, if there are couplings."""
-        arrays.coupling_extremes, arrays.coupling_contacts, arrays.contact_couplings = None, None, None
         if not self.all:
             return
         arrays.coupling_extremes = layout.struct("contacts", t.CouplingExtremes, per_env(len(self.all)))
@@ -104,7 +104,7 @@ class ContactCouplings:
         layout.constant("contacts", arrays.coupling_contacts, "first", firsts, wp.int32)
         layout.constant("contacts", arrays.coupling_contacts, "count", counts, wp.int32)
 
-    def upload_normals(self, model: object, point_count: int, parameters: Parameters, t: SimpleNamespace) -> None:
+    def upload_normals(self, model: object, point_count: int, parameters: Parameters, t: Structs) -> None:
         """Adds the device field of point normals, in their bodies, if a contact has ``facing="projected"``."""
         weighed = [
             (points, points.normals, parameters.by_name[f"{points.surface.name}.orientation"])

@@ -1,7 +1,6 @@
 """Device data of bushings."""
 
 from collections.abc import Mapping
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -57,7 +56,7 @@ class BushingSet(CouplingSet):
     def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
         t = bushing.bushing_structs(self.types.real)
         self._bushings = layout.struct("couplings", t.Bushings, per_env(self.count), transient=True)
-        self._owner = SimpleNamespace(settings=None)
+        self.settings: Any = None
         # Rotation from the first body to the second at rest, which is their relative orientation in the scene.
         rest = np.array(
             [product(inverse(_orientation(one.bodies[1])), _orientation(one.bodies[0])) for one in self.couplings]
@@ -67,12 +66,12 @@ class BushingSet(CouplingSet):
             first = values.pop("orientation")
             return {**values, "orientation_1": first, "orientation_2": product(rest, first)}
 
-        self._add_settings(parameters, self._owner, t.Settings, _RANGES, computed)
+        self._add_settings(parameters, self, t.Settings, _RANGES, computed)
 
     def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch that computes the forces of the bushings."""
         a, kernel = plan.model.arrays, bushing.kernel(self.types.real)
-        inputs = [status, a.model, state, self.first, self._owner.settings, self._bushings, a.coupling_wrenches]
+        inputs = [status, a.model, state, self.first, self.settings, self._bushings, a.coupling_wrenches]
         return plan.prepare(kernel, self.count, inputs)
 
 

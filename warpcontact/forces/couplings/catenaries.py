@@ -1,7 +1,6 @@
 """Device data of catenaries."""
 
 from collections.abc import Mapping
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -78,15 +77,15 @@ class CatenarySet(CouplingSet):
             "couplings", catenary.CatenarySolution, shape, ranges={"grounded": SWITCH}
         )
         self._trial_solution = layout.struct("couplings", catenary.CatenarySolution, shape, transient=True)
-        self._owner = SimpleNamespace(settings=None)
+        self.settings: Any = None
         ranges = {key: allowed for key, allowed in _RANGES.items() if self.floored or key != "floor"}
-        self._add_settings(parameters, self._owner, catenary.Settings, ranges)
+        self._add_settings(parameters, self, catenary.Settings, ranges)
 
     def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch that computes the forces of the catenaries."""
         a, kernel = plan.model.arrays, catenary.kernel(self.types.real, self.floored)
         inputs = [
-            *(status, a.model, state, self.first, self._owner.settings),
+            *(status, a.model, state, self.first, self.settings),
             *(self._accepted_solution, self._trial_solution, self._lines, a.coupling_wrenches),
         ]
         return plan.prepare(kernel, self.count, inputs)
@@ -121,7 +120,7 @@ class CatenarySet(CouplingSet):
 
     def _measure(self, model: "Model", kernel: wp.Kernel, item: int, target: wp.array) -> None:
         a = model.arrays
-        inputs = [a.model, a.state, self.first, item, self._owner.settings, self._trial_solution]
+        inputs = [a.model, a.state, self.first, item, self.settings, self._trial_solution]
         wp.launch(kernel, dim=target.shape, inputs=inputs, outputs=[target], device=model.device)
 
     def failures(self, item: int) -> NDArray[np.int32]:

@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import IntEnum
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -11,8 +10,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.sensor import Sensor, shape_in
-from warpcontact.kernels.types import WORLD
+from warpcontact.kernels.types import WORLD, Structs
 from warpcontact.scene.status import CouplingStatus
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import Field, pack
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
@@ -53,7 +53,7 @@ class CouplingSet(ABC):
         first: int,
         layout: "AllocationPlan",
         parameters: "Parameters",
-        types: SimpleNamespace,
+        types: Structs,
     ) -> None:
         self.couplings = couplings
         self.first = first
@@ -161,9 +161,9 @@ class CouplingSet(ABC):
                 shape = shape_in(self.results, attribute)
                 yield Sensor(name, unit, meaning, array, needs=("contacts",), codes=codes, shape=shape)
 
-    def _column(self, attribute: str, item: int) -> Callable[[SimpleNamespace], wp.array]:
+    def _column(self, attribute: str, item: int) -> Callable[[ModelArrays], wp.array]:
         return lambda _: getattr(self.results, attribute)[:, item]
 
 
-def _column_of_ends(number: int) -> Callable[[SimpleNamespace], wp.array]:
+def _column_of_ends(number: int) -> Callable[[ModelArrays], wp.array]:
     return lambda arrays: arrays.coupling_wrenches.force[:, number]

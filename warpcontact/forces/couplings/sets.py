@@ -1,9 +1,9 @@
 """Creates the device data of all couplings of a scene, grouped by kind and kernel."""
 
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.kernels.types import Structs
 from warpcontact.scene.couplings import Bushing, Catenary, Coupling, SpringDamper
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def set_of(kind: type[Coupling]) -> type[CouplingSet]:
 
 
 def make_sets(
-    scene: "Scene", layout: "AllocationPlan", parameters: "Parameters", types: SimpleNamespace
+    scene: "Scene", layout: "AllocationPlan", parameters: "Parameters", types: Structs
 ) -> list[CouplingSet]:
     """Declares the arrays of all couplings and adds their parameters."""
     sorted_: dict[tuple[type[Coupling], Any], list[Coupling]] = {}

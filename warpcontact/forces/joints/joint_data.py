@@ -1,7 +1,6 @@
 """Device data of joints and prescribed motions: parameters, and functions of time grouped by class."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from warpcontact.kernels.types import FREE, TIME_FUNCTION, BodyMotion
 from warpcontact.scene.elements import Body
 from warpcontact.scene.scene import Scene
 from warpcontact.storage.allocation_plan import AllocationPlan
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import DeviceField, Field, Parameters, pack, split
 from warpcontact.system.compilation import load
 from warpcontact.validation.checks import Array
@@ -23,6 +23,21 @@ from warpcontact.validation.custom_law_errors import compile_error_text, has_use
 _AXES = ("axis", "normal")
 
 
+@dataclass(eq=False)
+class MotionArrays:
+    """Device arrays of bodies with prescribed motion of one class; ``None`` before allocation.
+
+    Attributes:
+        members: Body indices [member].
+        coefficients: Coefficients of the motion [env, member].
+        samples: Table rows of all members.
+    """
+
+    members: Any = None
+    coefficients: Any = None
+    samples: Any = None
+
+
 @dataclass(frozen=True)
 class PrescribedMotionSet:
     """Bodies with prescribed motion of one class.
@@ -30,12 +45,12 @@ class PrescribedMotionSet:
     Attributes:
         motion: Class of the motion.
         count: Number of bodies.
-        arrays: ``members``: body indices; ``coefficients`` [env, member]; ``samples``: table rows of all members.
+        arrays: Their arrays.
     """
 
     motion: type[Motion]
     count: int
-    arrays: SimpleNamespace
+    arrays: MotionArrays
 
     @property
     def inputs(self) -> list[wp.array]:
@@ -62,7 +77,7 @@ class PrescribedMotionSet:
 
 
 def add_motions(
-    scene: Scene, arrays: SimpleNamespace, layout: AllocationPlan, parameters: Parameters
+    scene: Scene, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters
 ) -> list[PrescribedMotionSet]:
     """Adds joints and motions of the bodies, if any body is not free; returns the prescribed motions."""
     bodies = scene.bodies
@@ -156,7 +171,7 @@ def _add_prescribed_motions(
     parameters: Parameters,
 ) -> tuple[PrescribedMotionSet, DeviceField]:
     """Adds the bodies with prescribed motion of one class."""
-    arrays = SimpleNamespace(members=None, coefficients=None, samples=None)
+    arrays = MotionArrays()
     struct = driven.coefficients_struct(motion)
     layout.constant("state", arrays, "members", [body.index for body in fields], wp.int32)
     # Optional parameters that are omitted are zero.

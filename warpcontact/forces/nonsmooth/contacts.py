@@ -7,7 +7,6 @@ In each step, closed contacts are collected as rows (``build_rows``), a solver c
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,6 +41,17 @@ if TYPE_CHECKING:
 
 
 PURPOSE = "nonsmooth contacts"
+
+
+@dataclass(eq=False)
+class _Scratch:
+    """Working memory of a solver.
+
+    Attributes:
+        rows: Data of each row [env, row]; ``None`` before allocation.
+    """
+
+    rows: Any = None
 
 
 @dataclass
@@ -171,10 +181,10 @@ class NonsmoothContacts:
             layout.array(
                 PURPOSE, self, name, struct, shape, transient=name != "stored_impulses", ranges=remembered
             )
-        self._scratch = SimpleNamespace()
+        self._scratch = {name: _Scratch() for name in scratch}
         for name, make in scratch.items():
-            setattr(self._scratch, name, None)
-            layout.array(PURPOSE, self._scratch, name, make(t.real, self.rolls), each_row, transient=True)
+            owner, struct = self._scratch[name], make(t.real, self.rolls)
+            layout.array(PURPOSE, owner, "rows", struct, each_row, transient=True)
         self.impact_rows: Any = None
         if sequential:
             layout.array(PURPOSE, self, "impact_rows", sequence.scratch(t.real), each_row, transient=True)
@@ -268,7 +278,7 @@ class NonsmoothContacts:
     @property
     def scratch(self) -> dict[str, Any]:
         """Working memory of each solver, by name [env, row]."""
-        return vars(self._scratch)
+        return {name: own.rows for name, own in self._scratch.items()}
 
     def is_compliant(self, name: str) -> bool:
         """Returns whether the contact ``name`` is compliant."""

@@ -4,7 +4,6 @@ Kernels: ``kernels/particles``.
 """
 
 from collections.abc import Callable, Iterator
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +32,7 @@ from warpcontact.kernels.particles.base import (
     ParticleTraits,
     particle_structs,
 )
-from warpcontact.kernels.types import FREE
+from warpcontact.kernels.types import FREE, Structs
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.shapes import Shape
@@ -98,7 +97,7 @@ class ParticleContactSet:
         scene: "Scene",
         layout: AllocationPlan,
         parameters: Parameters,
-        types: SimpleNamespace,
+        types: Structs,
     ) -> None:
         self.contact = contact
         self.real = types.real
@@ -551,7 +550,7 @@ def particle_arrays(particle_set: ParticleContactSet | None, real: type) -> list
 
 
 def make_particle_contact_sets(
-    scene: "Scene", layout: AllocationPlan, parameters: Parameters, types: SimpleNamespace
+    scene: "Scene", layout: AllocationPlan, parameters: Parameters, types: Structs
 ) -> list[ParticleContactSet]:
     """Declares the arrays of all particle contacts, and adds their parameters."""
     return [ParticleContactSet(contact, scene, layout, parameters, types) for contact in scene.particle_contacts]

@@ -4,7 +4,6 @@ The narrow phase is compiled per pair of kinds, the force kernel per contact mod
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +32,7 @@ from warpcontact.scene import elements as limits_of
 from warpcontact.scene.shapes import ShapeContact
 from warpcontact.scene.status import ContactStatus
 from warpcontact.storage.allocation_plan import fixed, per_env
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import ClosedGap, Field, pack
 from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.compilation import load
@@ -378,21 +378,21 @@ class ShapeContactSet:
                 yield Sensor(name, "-", meaning, array, needs=("shape_gradients",), **options)
                 first += width
 
-    def _column(self, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+    def _column(self, attribute: str, items: int | slice) -> Callable[[ModelArrays], wp.array]:
         return lambda _: getattr(self.shape_contacts, attribute)[:, items]
 
-    def _history_values(self, part: str, key: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+    def _history_values(self, part: str, key: str, items: int | slice) -> Callable[[ModelArrays], wp.array]:
         return lambda _: history_view(getattr(self.memory, part), key)[:, items]
 
 
-def _measured(measure: str, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+def _measured(measure: str, attribute: str, items: int | slice) -> Callable[[ModelArrays], wp.array]:
     return lambda arrays: getattr(getattr(arrays, measure), attribute)[:, items]
 
 
-def _part(attribute: str, first: int, width: int, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+def _part(attribute: str, first: int, width: int, items: int | slice) -> Callable[[ModelArrays], wp.array]:
     """Returns a function that returns a view of ``width`` components, from ``first`` on, of each array entry."""
 
-    def part(arrays: SimpleNamespace) -> wp.array:
+    def part(arrays: ModelArrays) -> wp.array:
         whole = getattr(arrays.shape_gradients, attribute)
         return wp.array(
             ptr=whole.ptr + 8 * first,

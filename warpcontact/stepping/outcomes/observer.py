@@ -4,8 +4,7 @@
 before it is accepted (``kernels/outcomes``). ``report.py`` returns the results as data sets.
 """
 
-from dataclasses import dataclass
-from types import SimpleNamespace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -203,9 +202,7 @@ class Monitor:
         form = sources.form(self._real)
         if self._model is None:
             return form, None
-        view = sources.view(
-            SimpleNamespace(**{**vars(self._model.arrays), "state": state, "nonsmooth": self._nonsmooth})
-        )
+        view = sources.view(replace(self._model.arrays, state=state, nonsmooth=self._nonsmooth))
         return form._replace(dtype=view.dtype), view
 
     def _forms_and_views(

@@ -3,7 +3,6 @@
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
@@ -12,6 +11,7 @@ from warpcontact.forces.sensor import AXES, Sensor
 from warpcontact.kernels.outcomes.base import COMPONENTS, Source
 from warpcontact.kernels.outcomes.source import EACH, SUM, SourceForm
 from warpcontact.model.sensor_evaluation import SLICE_NEEDS
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.validation.checks import find_entry
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class ResolvedSource:
         items = SUM if self.sensor.total else self.source.items
         return SourceForm(real, self.source.component == "norm", items)
 
-    def view(self, arrays: SimpleNamespace) -> wp.array:
+    def view(self, arrays: ModelArrays) -> wp.array:
         """Returns a view of the sensor's array as scalars (env, item, component)."""
         array = self.sensor.array(arrays)
         scalar = getattr(array.dtype, "_wp_scalar_type_", array.dtype)

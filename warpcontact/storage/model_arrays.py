@@ -1,0 +1,79 @@
+"""Device arrays of a model, as one object that stages, sensors and outcomes read."""
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(eq=False)
+class ModelArrays:
+    """Device arrays of a model: instances of Warp structs, or single arrays.
+
+    ``model/build.py`` declares them. Arrays are allocated with the model; those of sensors are ``None`` until a sensor
+    needs them.
+
+    Attributes:
+        model: Parameters, surfaces and topology (``kernels/types.py:Model``).
+        initial: Initial state (``State``).
+        state: Current state (``State``).
+        wrenches: Wrenches on bodies (``Wrenches``).
+        coupling_wrenches: Wrenches of couplings and shape contacts at their ends (``CouplingWrenches``).
+        history: History of contacts (``History``).
+        contacts: Results of detection and forces of contacts (``Contacts``).
+        active_contacts: Contacts that later stages process (``ActiveContacts``).
+        cache: Distances cached from earlier steps (``Cache``).
+        uses_face_grid: Whether queries use face grids; there is no face cache then.
+        faces_read: Number of faces that a step of an environment reads, for the size of slices.
+        status: Status of environments [env], ``ENV_*``.
+        time: Clocks [env] [s], float64.
+        zero_step: A step of 0 s [1, 1].
+        active_status: The status of an active environment [1].
+        constrained: Bodies that are neither free nor follow a function of time [body of them].
+        guard: Limits of speed and distance, and failure causes (``kernels/acceptance/quarantine.py:Guard``).
+        closed: Gap below which contacts are closed (``storage/parameters.py:ClosedGap``).
+        coupling_contacts: Contacts of contact couplings (``kernels/couplings/contact_coupling.py:CouplingSets``);
+            ``None``: no contact couplings.
+        coupling_extremes: Closest approach of contact couplings (``CouplingExtremes``); ``None``: none.
+        nonsmooth: Nonsmooth contacts of the simulation that stepped last, for their sensors; ``None``: none.
+        positions: Positions of bodies in float64, for sensors.
+        energies: Kinetic energies of bodies, for sensors.
+        momenta: Angular momenta of bodies, for sensors.
+        points: Points of contacts, for sensors.
+        reactions: Reactions of joints, for sensors.
+        coordinates: Coordinates of joints, for sensors.
+        contact_couplings: Forces of contact couplings, for sensors.
+        shape_points: Points of shape contacts, for sensors.
+        shape_curvatures: Curvatures of shape contacts, for sensors.
+        shape_gradients: Gradients of the gaps of shape contacts, for sensors.
+    """
+
+    model: Any
+    initial: Any
+    state: Any
+    wrenches: Any
+    coupling_wrenches: Any
+    history: Any
+    contacts: Any
+    active_contacts: Any
+    cache: Any
+    uses_face_grid: bool
+    faces_read: int
+    status: Any = None
+    time: Any = None
+    zero_step: Any = None
+    active_status: Any = None
+    constrained: Any = None
+    guard: Any = None
+    closed: Any = None
+    coupling_contacts: Any = None
+    coupling_extremes: Any = None
+    nonsmooth: Any = None
+    positions: Any = None
+    energies: Any = None
+    momenta: Any = None
+    points: Any = None
+    reactions: Any = None
+    coordinates: Any = None
+    contact_couplings: Any = None
+    shape_points: Any = None
+    shape_curvatures: Any = None
+    shape_gradients: Any = None
