@@ -5,7 +5,7 @@ not written; their evaluation runs contact detection again.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -28,10 +28,17 @@ from warpcontact.kernels.types import (
 )
 
 
+class Functions(NamedTuple):
+    """Struct and device functions of a contact that is detected and evaluated in one kernel."""
+
+    SetBodies: type  # frames and bodies of a set of contacts
+    set_bodies_of: wp.Function  # frames and bodies of a set in a state
+    detect_and_evaluate: wp.Function  # detection result of a contact and, if closed, its force
+    clear_history: wp.Function  # clears the history variables of an open contact: ``contact_evaluation.Functions``
+
+
 @functools.cache
-def functions(
-    contact_model: ContactModel, real: type, has_joints: bool, projected: bool, part: str
-) -> SimpleNamespace:
+def functions(contact_model: ContactModel, real: type, has_joints: bool, projected: bool, part: str) -> Functions:
     """Returns the structs and device functions of a contact; ``part``: see ``closest_point.functions``.
 
     The other arguments are those of ``contact_force.kernel``.
@@ -137,7 +144,7 @@ def functions(
         update.torque_2 = wrench.torque_2
         return update
 
-    return SimpleNamespace(
+    return Functions(
         SetBodies=SetBodies,
         set_bodies_of=set_bodies_of,
         detect_and_evaluate=detect_and_evaluate,

@@ -9,7 +9,7 @@ order, as a single thread would, and integrates its body. Conditions: ``Executio
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.acceptance import accept_step
@@ -40,8 +40,20 @@ NO_CONTACT, ENDED, IN_CONTACT = 0, 1, 2
 REGISTERS = 128
 
 
+class _Functions(NamedTuple):
+    """Structs and device functions of a contact, of the body and of the end of a step."""
+
+    Guard: type  # limits of environments, and causes of failures: ``quarantine.py``
+    has_history: bool  # whether contacts have history variables
+    active_mask: wp.Function  # contacts of a cluster that cannot be culled, as bits
+    cluster_safe_travel: wp.Function  # safe travel of a cluster [m]
+    detect_and_evaluate: wp.Function  # result of a contact, with its force if closed
+    integrate_body: wp.Function  # integrates the body and ends its step; whether the step is accepted
+    accept_contact: wp.Function  # advances the history of a contact in an accepted step
+
+
 @functools.cache
-def _functions(contact_model: ContactModel, real: type, projected: bool, width: int) -> SimpleNamespace:
+def _functions(contact_model: ContactModel, real: type, projected: bool, width: int) -> _Functions:
     """Returns the structs and device functions of a contact, of the body and of the end of a step."""
     t = structs(real)
     vec3, Model, State, History = t.vec3, t.Model, t.State, t.History
@@ -210,7 +222,7 @@ def _functions(contact_model: ContactModel, real: type, projected: bool, width: 
         accept(status, clock_step, time, 1, state_in, state_out, env, found)
         return cause == NO_CAUSE
 
-    return SimpleNamespace(
+    return _Functions(
         Guard=Guard,
         has_history=has_history,
         active_mask=active_mask,

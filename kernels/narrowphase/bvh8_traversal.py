@@ -5,7 +5,7 @@ searches faces with it.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -16,8 +16,17 @@ from warpcontact.kernels.types import structs
 STACK_SIZE = 96
 
 
+class Functions(NamedTuple):
+    """Structs and device functions of a traversal."""
+
+    Traversal: type  # state of a traversal
+    PruningReference: type  # closest point that is used to prune faces
+    start_traversal: wp.Function  # traversal that starts at the root
+    next_leaf: wp.Function  # index of the next face that may be within reach; −1: none
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the structs and device functions for ``real``."""
     t = structs(real)
     vec3 = t.vec3
@@ -141,7 +150,7 @@ def functions(real: type) -> SimpleNamespace:
         """
         ...
 
-    return SimpleNamespace(
+    return Functions(
         Traversal=Traversal,
         PruningReference=PruningReference,
         start_traversal=start_traversal,

@@ -8,7 +8,7 @@ builds the BVH.
 """
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.narrowphase import bvh8_traversal, face_cache, search
@@ -20,8 +20,16 @@ from warpcontact.kernels.types import assume_nonnegative, structs
 AHEAD_FRACTION = 0.8
 
 
+class Functions(NamedTuple):
+    """Device functions of searches in the BVH."""
+
+    closest_in_bvh: wp.Function  # closest point on a query mesh
+    rounding_error: wp.Function  # bound on the error of a distance
+    cache_faces_near: wp.Function  # caches the faces that may be nearest around a center ahead of a point
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
@@ -152,6 +160,6 @@ def functions(real: type) -> SimpleNamespace:
                         cache.gradient[env, leaf] = direction
         store_face_list(cache, env, contact, count, center, reach)
 
-    return SimpleNamespace(
+    return Functions(
         closest_in_bvh=closest_in_bvh, rounding_error=rounding_error, cache_faces_near=cache_faces_near
     )

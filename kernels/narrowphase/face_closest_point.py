@@ -1,7 +1,7 @@
 """Closest point on a face; comparison of two closest points with tie-breaking; descent over adjacent faces."""
 
 import functools
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.lowlevel import vector_loads
@@ -20,8 +20,22 @@ MAX_DESCENT_STEPS = 4096
 MAX_TRACK_STEPS = 32
 
 
+class Functions(NamedTuple):
+    """Struct and device functions of the closest point of a face."""
+
+    ClosestPoint: type  # closest point of a face, relative to the query point
+    closest_on_face: wp.Function  # closest point of a face
+    face_distance: wp.Function  # distance of a face, computed without branches
+    is_inside: wp.Function  # whether the query point is on the inner side of the surface
+    closer: wp.Function  # nearer closest point, with the smaller distance of both
+    lost_tie: wp.Function  # whether the selected closest point is not tied with the smallest distance
+    break_tie: wp.Function  # winner among candidates tied with the smallest distance
+    descend: wp.Function  # closest point found by descent over adjacent, ever nearer faces
+    track: wp.Function  # closest point to a second point on the sheet of a face, by tracking
+
+
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
+def functions(real: type) -> Functions:
     """Returns the struct ``ClosestPoint`` and the device functions for ``real``."""
     t = structs(real)
     vec3, Model = t.vec3, t.Model
@@ -227,7 +241,7 @@ def functions(real: type) -> SimpleNamespace:
             )
         return closest
 
-    return SimpleNamespace(
+    return Functions(
         ClosestPoint=ClosestPoint,
         closest_on_face=closest_on_face,
         face_distance=face_distance,

@@ -12,8 +12,7 @@ the poles at about the same level are refined likewise; the lowest saddle counts
 
 import functools
 import math
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels.shapes import torus_saddles
@@ -92,15 +91,20 @@ def connects_rows(below: BitColumns, is_global: wp.bool):
     return wp.bool(False)
 
 
-@functools.cache
-def functions(B: type[Shape]) -> SimpleNamespace:
-    """Returns the device functions of a torus and a convex body; each returns a ``DirectionSample`` and a flag.
+class Functions(NamedTuple):
+    """Device functions of an interlocked torus; each returns a ``DirectionSample`` and a flag."""
 
-    - ``interlocked_gap(p_a, p_b, x, q, lower_limit, upper_limit)``: the saddle, if its gap is above the lower and
-      not above the upper limit [m]. If the grid has one that does not converge, ``tangential_offset`` is infinite.
-    - ``loop_at_pole(p_a, p_b, x, q, pole, lower_limit, upper_limit)``: the same for a loop around a pole that is
-      too small for the grid; g is ``lower_limit`` at the pole.
-    """
+    #: ``(p_a, p_b, x, q, lower_limit, upper_limit)``: the saddle, if its gap is above the lower and not above the
+    #: upper limit [m]. If the grid has one that does not converge, ``tangential_offset`` is infinite.
+    interlocked_gap: wp.Function
+    #: ``(p_a, p_b, x, q, pole, lower_limit, upper_limit)``: the same for a loop around a pole that is too small
+    #: for the grid; g is ``lower_limit`` at the pole.
+    loop_at_pole: wp.Function
+
+
+@functools.cache
+def functions(B: type[Shape]) -> Functions:
+    """Returns the device functions of a torus and a convex body."""
     rows = wp.constant(wp.int32(ROWS))
     saddles = torus_saddles.functions(B)
     ridge_value, loop_direction, normals_face = saddles.ridge_value, saddles.loop_direction, saddles.normals_face
@@ -340,4 +344,4 @@ def functions(B: type[Shape]) -> SimpleNamespace:
             return best, grid_level > lower_limit
         return best, best.gap > lower_limit
 
-    return SimpleNamespace(interlocked_gap=interlocked_gap, loop_at_pole=loop_at_pole)
+    return Functions(interlocked_gap=interlocked_gap, loop_at_pole=loop_at_pole)

@@ -7,8 +7,7 @@ sides.
 
 import functools
 import math
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels.shapes import root_bracketing
@@ -58,16 +57,27 @@ def secant(a: real, b: real, f_a: real, f_b: real):
     return a + (b - a) * (f_a / (f_a - f_b))
 
 
-@functools.cache
-def functions(B: type[Shape]) -> SimpleNamespace:
-    """Returns the device functions of a torus and a convex body.
+class Functions(NamedTuple):
+    """Device functions of the saddles of a torus and a convex body."""
 
-    - ``ridge_value(p_a, p_b, x, q, n, max_angle)``: g along n, or on a ridge within ``max_angle``,
-    - ``loop_direction(p_a, p_b, x, q, n, radius)``: direction of the loop at n,
-    - ``smooth_saddle(p_a, p_b, x, q, start)`` and ``sharp_saddle(p_a, p_b, x, q, start, reach)``: the saddle next
-      to a direction as a ``DirectionSample``, converged if ``normals_face(p_a, at)`` is true,
-    - ``saddle_around_pole(p_a, p_b, x, q, pole)``: the saddle on a loop around a pole, and whether it exists.
-    """
+    #: ``(p_a, at)``: whether two points are opposite each other along the normal.
+    normals_face: wp.Function
+    #: ``(p_a, p_b, x, q, n, max_angle)``: g along n, or on a ridge within ``max_angle``.
+    ridge_value: wp.Function
+    #: ``(p_a, p_b, x, q, n, radius)``: direction of the loop at n.
+    loop_direction: wp.Function
+    #: ``(p_a, p_b, x, q, start)``: the saddle next to a direction as a ``DirectionSample``, converged if
+    #: ``normals_face(p_a, at)`` is true.
+    smooth_saddle: wp.Function
+    #: ``(p_a, p_b, x, q, start, reach)``: the same, on an edge of g.
+    sharp_saddle: wp.Function
+    #: ``(p_a, p_b, x, q, pole)``: the saddle on a loop around a pole, and whether it exists.
+    saddle_around_pole: wp.Function
+
+
+@functools.cache
+def functions(B: type[Shape]) -> Functions:
+    """Returns the device functions of a torus and a convex body."""
     azimuths = wp.constant(wp.int32(AZIMUTHS))
     # Every other step is a bisection, because g has edges.
     angle_search = root_bracketing.functions(
@@ -333,7 +343,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         """Returns whether the two points are opposite each other along the normal."""
         return wp.length(at.tangential_offset) <= TOLERANCE * p_a.major_radius
 
-    return SimpleNamespace(
+    return Functions(
         normals_face=normals_face,
         ridge_value=ridge_value,
         loop_direction=loop_direction,
