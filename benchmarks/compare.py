@@ -2,7 +2,8 @@
 
     python benchmarks/compare.py                                        # on the CPU, all cores
     python benchmarks/compare.py --device cuda:0 --envs 8192 32768 131072
-    python benchmarks/compare.py --engines warpcontact --works W1 --envs 1 64 1024
+    python benchmarks/compare.py --engines warpcontact --scenes W1 --envs 1 64 1024
+    python benchmarks/compare.py nonsmooth                              # with MuJoCo
 
 A virtual environment is created for each peer on first use. ``--here`` runs all engines in the current
 interpreter, ``--python newton=PATH`` runs one in another. In each round every engine runs once, so that other load
@@ -17,13 +18,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from engines import ENGINES
+from comparisons import COMPARISONS
 from environments import CACHE, interpreter
 from progress import Bar
 from result_file import RATIOS, default_path, stored, write
 from side_by_side import SideBySide
 from table import lines, summarise
-from works import STEPS, WORKS
 
 from warpcontact.benchmark.facts import facts
 
@@ -32,16 +32,16 @@ def main() -> None:
     """Prints a table and writes the figures."""
     options = arguments()
     about = facts(options.device, options.threads)
-    out = options.out or default_path("", options.device, about)
+    out = options.out or default_path(options.kind, options.device, about)
     pythons = {name: python_of(name, options) for name in options.engines}
     entries: list[dict[str, Any]] = []
     runs = len(options.engines) * (options.rounds + 2)
-    with Bar(total=len(options.works) * len(options.envs) * runs, unit="run", disable=None) as bar:
-        for work in options.works:
+    with Bar(total=len(options.scenes) * len(options.envs) * runs, unit="run", disable=None) as bar:
+        for scene in options.scenes:
             able = dict(pythons)
             for envs in options.envs:
                 done = bar.n
-                found = compare(work, envs, able, options, bar)
+                found = compare(scene, envs, able, options, bar)
                 bar.update(done + runs - bar.n)  # also for skipped engines
                 for entry in found:
                     if not quick(entry, options):
@@ -54,13 +54,13 @@ def main() -> None:
 
 
 def compare(
-    work: str, envs: int, pythons: dict[str, Path], options: argparse.Namespace, bar: Bar
+    scene: str, envs: int, pythons: dict[str, Path], options: argparse.Namespace, bar: Bar
 ) -> list[dict[str, Any]]:
     """Returns the results of the engines on a benchmark scene."""
 
     def progress(name: str) -> None:
         if name:
-            bar.set_description(f"{work} {envs} {name}")
+            bar.set_description(f"{scene} {envs} {name}")
         else:
             bar.update()
 
@@ -68,7 +68,9 @@ def compare(
     arguments += ["--at-least", options.at_least]
     with tempfile.TemporaryDirectory() as folder:
         cold = Path(folder) if options.cold else None
-        race = SideBySide(work, envs, pythons, [str(part) for part in arguments], cold, options.patience, progress)
+        race = SideBySide(
+            scene, envs, pythons, [str(part) for part in arguments], cold, options.patience, progress
+        )
         try:
             race.start(together=options.together)
             for _ in range(options.rounds):
@@ -89,7 +91,7 @@ def quick(entry: dict[str, Any], options: argparse.Namespace) -> bool:
 
 def python_of(name: str, options: argparse.Namespace) -> Path:
     """Returns the interpreter of an engine."""
-    file = ENGINES[name].file
+    file = COMPARISONS[options.comparison].engines[name].file
     for key in (name, file):
         if key in options.python:
             return Path(options.python[key])
@@ -116,11 +118,12 @@ def report(about: dict[str, Any], options: argparse.Namespace, entries: list[dic
 def arguments() -> argparse.Namespace:
     """Returns the command line with defaults for the device."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("comparison", nargs="?", choices=COMPARISONS, default="compliant", help="kind of contact")
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
-    parser.add_argument("--engines", nargs="+", choices=ENGINES, metavar="ENGINE", help=", ".join(ENGINES))
-    parser.add_argument("--works", nargs="+", choices=WORKS, default=list(WORKS))
+    parser.add_argument("--engines", nargs="+", metavar="ENGINE")
+    parser.add_argument("--scenes", nargs="+", metavar="SCENE")
     parser.add_argument("--envs", type=int, nargs="+", help="numbers of environments, ascending")
-    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--steps", type=int)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument(
         "--at-least", type=float, default=1.0, help="minimum duration of a measurement, in seconds"
@@ -140,16 +143,26 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     options.python = dict(text.partition("=")[::2] for text in options.python)
-    known = {*ENGINES, *(engine.file for engine in ENGINES.values())}
+    comparison = COMPARISONS[options.comparison]
+    engines = comparison.engines
+    options.kind = "" if options.comparison == "compliant" else options.comparison
+    for option, chosen, names in (
+        ("--engines", options.engines, engines),
+        ("--scenes", options.scenes, comparison.scenes),
+    ):
+        if unknown := [name for name in chosen or () if name not in names]:
+            parser.error(f"{option} must be of {', '.join(names)}, got {unknown[0]}")
+    known = {*engines, *(engine.file for engine in engines.values())}
     for name, path in options.python.items():
         if name not in known or not shutil.which(path):
             names = ", ".join(sorted(known))
             parser.error(f"--python must be ENGINE=PATH with an engine of {names}, got {name}={path}")
     cuda = options.device.startswith("cuda")
     if options.engines is None:
-        options.engines = [name for name, engine in ENGINES.items() if (engine.cuda if cuda else engine.cpu)]
-    if options.envs is None:
-        options.envs = [8192, 32768, 131072] if cuda else [1024]
+        options.engines = [name for name, engine in engines.items() if (engine.cuda if cuda else engine.cpu)]
+    options.scenes = options.scenes or comparison.default_scenes
+    options.steps = options.steps or comparison.steps
+    options.envs = options.envs or (comparison.envs_on_cuda if cuda else comparison.envs_on_cpu)
     return options
 
 

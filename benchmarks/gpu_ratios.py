@@ -20,12 +20,12 @@ from typing import Any
 
 import warp as wp
 from result_file import RATIOS, default_path, stored, write
+from scenes import SCENES, STEPS
 from warpcontact.kernels.narrowphase.bare_query import kernel as bare_query
-from works import STEPS, WORKS
 
 import warpcontact as wc
-from warpcontact.benchmark import limits as lower_bounds
 from warpcontact.benchmark.facts import facts, versions
+from warpcontact.benchmark.limits import query_points
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
 from warpcontact.system.compilation import compile_as_launched
 from warpcontact.system.resources import available_threads
@@ -121,13 +121,13 @@ class Queries:
         self._device = sim.model.devices[0]
         kernel = bare_query()
         compile_as_launched(kernel, self._device)
-        surface = WORKS[name].surface
+        surface = SCENES[name].surface
         self._mesh = wp.Mesh(
             points=wp.array(surface.vertices, dtype=wp.vec3f, device=self._device),
             indices=wp.array(surface.faces.ravel(), dtype=wp.int32, device=self._device),
             bvh_constructor="sah",
         )
-        places = lower_bounds._places(sim.model.parts[0], WORKS[name]).reshape(-1, 3)
+        places = query_points(sim.model.parts[0], SCENES[name]).reshape(-1, 3)
         self._points = wp.array(places, dtype=wp.vec3f, device=self._device)
         self._found = wp.zeros(len(places), dtype=wp.int32, device=self._device)
         inputs = [self._mesh.id, self._points, self._found]
@@ -153,9 +153,9 @@ class Queries:
 def measure(options: argparse.Namespace) -> dict[str, dict[str, float]]:
     """Returns the figures of the scenes by name, and prints the progress."""
     scenes = []
-    for name in options.works:
+    for name in options.scenes:
         start = time.perf_counter()
-        sim = simulation(WORKS[name], options.envs, options.device)
+        sim = simulation(SCENES[name], options.envs, options.device)
         sim.warned_at_start = True  # the warnings of the first step need kernels of their own
         run_seconds(sim, options.steps)
         scenes.append(Scene(name, sim, Queries(sim, name), options.steps))
@@ -236,7 +236,7 @@ def arguments() -> argparse.Namespace:
     """Returns the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cuda:0")
-    parser.add_argument("--works", nargs="+", choices=WORKS, default=list(WORKS), help="benchmark scenes")
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES), help="benchmark scenes")
     parser.add_argument("--envs", type=int, default=ENVS, help=f"environments of each scene, default {ENVS}")
     parser.add_argument("--steps", type=int, default=STEPS, help="steps of a run")
     parser.add_argument("--rounds", type=int, default=9, help="rounds that count, after one that does not")

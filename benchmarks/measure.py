@@ -1,6 +1,6 @@
 """Measures environment-steps per second of one engine on one benchmark scene; prints a line of JSON.
 
-    python benchmarks/measure.py newton-xpbd --work W1 --envs 1024 --device cpu
+    python benchmarks/measure.py newton-xpbd --scene W1 --envs 1024 --device cpu
 
 Only the engine and NumPy are needed. A run takes all steps from the initial state; compiling and building are
 timed separately. With ``--turns`` each measurement starts when a line arrives on standard input, so that engines
@@ -31,23 +31,20 @@ def main() -> None:
     os.dup2(2, 1)
     options = _arguments()
 
-    from engines import ENGINES
-    from works import WORKS, sanity
+    from comparisons import comparison_of
 
-    engine = ENGINES[options.engine]
-    work = WORKS[options.work]
+    comparison = comparison_of(options.scene)
+    engine = comparison.engines[options.engine]
+    scene = comparison.scenes[options.scene]
     module = importlib.import_module(f"engines.{engine.file}")
-    if work.name not in module.WORKS:
-        print(json.dumps({"not_available": f"{options.engine} does not do {work.name}"}), file=report)
-        return
     imported = time.perf_counter()
-    run = module.Run(work, options.envs, options.device, options.threads, engine.variant)
+    run = getattr(module, comparison.run)(scene, options.envs, options.device, options.threads, engine.variant)
     run.step(WARM_UP)
     run.wait()
     ready = time.perf_counter()
     result: dict[str, Any] = {
         "engine": options.engine,
-        "work": work.name,
+        "scene": scene.name,
         "envs": options.envs,
         "steps": options.steps,
         "device": options.device,
@@ -65,7 +62,7 @@ def main() -> None:
             print(json.dumps({"env_steps_per_s": rate}), file=report)
     result["env_steps_per_s"] = rates
     result["cores_busy"] = cores
-    result["sanity"] = {name: round(value, 4) for name, value in sanity(work, run.positions()).items()}
+    result["sanity"] = {name: float(f"{value:.4g}") for name, value in run.sanity(options.steps).items()}
     result["notes"] = run.notes()
     print(json.dumps(result), file=report)
 
@@ -98,7 +95,7 @@ def _version(package: str) -> str:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("engine", help="name of an engine, see engines/__init__.py")
-    parser.add_argument("--work", default="W1", help="W1, W2p8, W2p64 or W3")
+    parser.add_argument("--scene", default="W1", help="name of a scene, see comparisons.py")
     parser.add_argument("--envs", type=int, default=1024)
     parser.add_argument(
         "--steps", type=int, default=1000, help="number of steps, a multiple of 10 (length of graphs)"

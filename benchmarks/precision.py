@@ -2,7 +2,7 @@
 
     python benchmarks/precision.py --out benchmarks/results/precision-cpu.json
 
-The scenes are those of ``works.py``. Each round runs the reference and then the variant. The ratio is taken per
+The scenes are those of ``scenes.py``. Each round runs the reference and then the variant. The ratio is taken per
 round, and the report has its median and range over the rounds, so that other load on the machine cancels.
 """
 
@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 import warp as wp
-from works import WORKS
+from scenes import SCENES
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts
@@ -44,7 +44,7 @@ def compare(
     scene: str, envs: int, device: str, steps: int, rounds: int, pair: tuple[dict, dict]
 ) -> dict[str, float]:
     """Returns the ratio of step times of the variant to the reference, and the rate of the reference."""
-    sims = [simulation(WORKS[scene], envs, device, **options) for options in pair]
+    sims = [simulation(SCENES[scene], envs, device, **options) for options in pair]
     for sim in sims:
         sim.step(2)
     times = [[seconds(sim, device, steps) for sim in sims] for _ in range(rounds)]

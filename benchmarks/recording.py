@@ -1,6 +1,6 @@
 """Measures the cost of frames relative to the steps between them.
 
-    python benchmarks/recording.py --envs 1024 65536 --works W1 W2p8
+    python benchmarks/recording.py --envs 1024 65536 --scenes W1 W2p8
 
 Alternating runs of 1000 steps with a frame every ten steps, and without. On a CPU the figures are processor times
 of all threads, which other programs affect less. Frames are copied to the host and not processed.
@@ -22,8 +22,8 @@ from unittest import mock
 import numpy as np
 import warp as wp
 from result_file import default_path, write
+from scenes import DT, SCENES
 from study import OUTCOMES, study
-from works import DT, WORKS
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts
@@ -61,7 +61,7 @@ def record(sim: wc.Simulation, recorder: Recorder) -> None:
 
 def measure(name: str, envs: int, device: str, repeats: int) -> dict[str, Any]:
     """Returns the time of steps [ns per environment and step], and the additional cost of each kind of frames."""
-    sim = simulation(WORKS[name], envs, device)
+    sim = simulation(SCENES[name], envs, device)
     steps = lambda: sim.step(STEPS)  # noqa: E731
     seconds(sim, steps)
     figures: dict[str, Any] = {}
@@ -120,7 +120,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--envs", type=int, nargs="+", default=[1024])
-    parser.add_argument("--works", nargs="+", choices=("W1", "W2p8", "W2p64"), default=["W1", "W2p8"])
+    parser.add_argument("--scenes", nargs="+", choices=("W1", "W2p8", "W2p64"), default=["W1", "W2p8"])
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--folder-envs", type=int, nargs="*", default=[16384])
     parser.add_argument("--folder-repeats", type=int, default=15)
@@ -130,7 +130,7 @@ def main() -> None:
     options = parser.parse_args()
     about = facts(options.device, available_threads())
     found: dict[str, Any] = {}
-    for name in options.works:
+    for name in options.scenes:
         for envs in options.envs:
             result = measure(name, envs, options.device, options.repeats)
             found.setdefault(name, {})[str(envs)] = result

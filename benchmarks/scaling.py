@@ -4,7 +4,7 @@
     python benchmarks/scaling.py --device cuda:0 --most-envs 262144
     python benchmarks/scaling.py --series threads --out threads.json
 
-A run starts at rest and includes contact, as in ``works.py``. All cases of a series are prepared first and then
+A run starts at rest and includes contact, as in ``scenes.py``. All cases of a series are prepared first and then
 run alternately, so that other load affects all of them. Lower bounds are measured as well: a bare closest-point
 query of every point and a copy of the state, and for threads the same number of single-threaded processes. The
 plot needs Matplotlib; ``scaling_picture.py`` can draw it later.
@@ -19,16 +19,16 @@ from typing import Any
 
 import warp as wp
 from fits import exponent, per_decade, upper_exponent
-from processes import Processes
 from progress import Bar
 from result_file import default_path, write
-from series import MOST_ENVS_ON_CPU, MOST_ENVS_ON_CUDA, SERIES, Case, Sizes, cases
+from scaling_cases import MOST_ENVS_ON_CPU, MOST_ENVS_ON_CUDA, SERIES, Case, Sizes, cases
+from scaling_processes import Processes
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.benchmark.limits import Limits, limits
+from warpcontact.benchmark.scenes import STEPS
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs
-from warpcontact.benchmark.works import STEPS
 from warpcontact.system.resources import available_threads
 
 
@@ -103,7 +103,7 @@ class Ready:
             "value": case.value,
             "envs": case.envs,
             "points": self.sim.model.contact_count,
-            "triangles": len(case.work.surface.faces),
+            "triangles": len(case.scene.surface.faces),
             "threads": case.threads,
             "ns_per_env_step": statistics.median(costs),
             "lowest": min(costs),
@@ -126,7 +126,7 @@ def measure(some: list[Case], options: argparse.Namespace, bar: Any) -> list[dic
         run_seconds(sim, options.steps)  # compiles, and captures the graphs that later runs replay
         several = case.series == "threads" and 1 < case.threads == options.threads
         apart = Processes(case, options.steps) if several else None
-        ready.append(Ready(case, sim, limits(sim.model, case.work, case.threads), apart))
+        ready.append(Ready(case, sim, limits(sim.model, case.scene, case.threads), apart))
         bar.update()
     for _ in range(options.rounds):
         for one in ready:

@@ -1,17 +1,21 @@
 """Plots the figures of ``scaling.py``: step time over environments, points, triangles and threads.
 
-python benchmarks/scaling_picture.py benchmarks/results/scaling-cpu.json --plot scaling.png
+    python benchmarks/scaling_picture.py benchmarks/results/scaling-cpu.json --plot scaling.png
+
+Figures of ``compare.py nonsmooth`` are plotted as step time over the number of contacts.
 """
 
 import argparse
 import json
 import math
+import statistics
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from nonsmooth_scenes import SCENES
 
 from warpcontact.files.picture_file import check_path, save
 
@@ -23,6 +27,8 @@ TITLES = {
     "threads": ("Threads", "threads"),
 }
 LABELS = {"W1": "sphere", "W2p8": "box of 8 points", "W2p64": "box of 64 points"}
+# Scenes of nonsmooth contact by the start of their names: title of the panel.
+NONSMOOTH_TITLES = {"table": "One box on many feet", "stack": "Stacked boxes, four feet each"}
 
 
 def draw(figures: Path, picture: Path) -> None:
@@ -30,6 +36,9 @@ def draw(figures: Path, picture: Path) -> None:
     check_path(picture)
     report = json.loads(figures.read_text(encoding="utf-8"))
     measured, about = report["measured"], report["facts"]
+    if "scene" in measured[0]:
+        draw_contacts(measured, picture)
+        return
     names = [name for name in TITLES if any(entry["series"] == name for entry in measured)]
     columns = min(2, len(names))
     rows = -(-len(names) // columns)
@@ -55,6 +64,29 @@ def draw(figures: Path, picture: Path) -> None:
         fontsize="small",
         color="0.3",
     )
+    save(figure, picture)
+
+
+def draw_contacts(measured: list[dict[str, Any]], picture: Path) -> None:
+    """Plots the step time of nonsmooth contact over the number of contacts."""
+    figure = Figure(figsize=(10.0, 4.4), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (start, title) in zip(figure.subplots(1, 2), NONSMOOTH_TITLES.items(), strict=True):
+        curves: dict[str, list[tuple[int, float]]] = {}
+        for entry in measured:
+            if entry["scene"].startswith(start):
+                point = (SCENES[entry["scene"]].contacts, 1e6 / statistics.median(entry["env_steps_per_s"]))
+                curves.setdefault(entry["engine"], []).append(point)
+        for index, (engine, points) in enumerate(curves.items()):
+            axes.loglog(*zip(*sorted(points), strict=True), "osv^D"[index % 5] + "-", label=engine)
+        counts = sorted({count for points in curves.values() for count, _ in points})
+        axes.set_title(title, fontsize="medium")
+        axes.set_xlabel("contacts of an environment")
+        axes.set_ylabel("time per environment and step [µs], all threads")
+        axes.set_xticks(counts, [str(count) for count in counts])
+        axes.set_xticks([], minor=True)
+        axes.grid(alpha=0.3)
+        axes.legend(frameon=False, fontsize="small")
     save(figure, picture)
 
 
@@ -137,7 +169,7 @@ def reference(axes: Any, series: str, values: Sequence[float], curves: Sequence[
 def main() -> None:
     """Plots the given file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("figures", type=Path, help="file of figures from scaling.py")
+    parser.add_argument("figures", type=Path, help="file of figures from scaling.py or compare.py nonsmooth")
     parser.add_argument("--plot", type=Path, help="plot, .svg or .png (default: next to the figures)")
     options = parser.parse_args()
     picture = options.plot or options.figures.with_suffix(".svg")

@@ -1,6 +1,6 @@
 """Measures several GPUs of one host against the first one: the same environments on all or on one.
 
-    python benchmarks/several_gpus.py --works W1 W2p64 --envs 262144 1048576
+    python benchmarks/several_gpus.py --scenes W1 W2p64 --envs 262144 1048576
 
 Both run alternately. The report also states whether their final states are equal.
 """
@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from progress import Bar
 from result_file import default_path, write
-from works import STEPS, WORKS
+from scenes import SCENES, STEPS
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts, versions
@@ -33,22 +33,22 @@ def main() -> None:
     about = facts(ONE, available_threads()) | {"gpus": wp.get_cuda_device_count()}
     out = options.out or default_path("several-gpus", ONE, about)
     measured: list[dict[str, Any]] = []
-    runs = 2 * (options.rounds + 1) * len(options.works) * len(options.envs)
+    runs = 2 * (options.rounds + 1) * len(options.scenes) * len(options.envs)
     with Bar(total=runs, unit="run", disable=None) as bar:
-        for work in options.works:
+        for scene in options.scenes:
             for envs in options.envs:
-                bar.set_description(f"{work} {envs}")
-                measured.append(measure(work, envs, options.rounds, bar))
+                bar.set_description(f"{scene} {envs}")
+                measured.append(measure(scene, envs, options.rounds, bar))
     write(out, {"facts": about, "versions": versions(), "steps": STEPS, "measured": measured})
     for row in measured:
         same = "same states" if row["same"] else "DIFFERENT STATES"
-        print(f"{row['work']:6} {row['envs']:8}  {row['of_one_gpu']:.2f} × one GPU, {same}")
+        print(f"{row['scene']:6} {row['envs']:8}  {row['of_one_gpu']:.2f} × one GPU, {same}")
     print(f"written to {out}")
 
 
-def measure(work: str, envs: int, rounds: int, bar: Any) -> dict[str, Any]:
+def measure(scene: str, envs: int, rounds: int, bar: Any) -> dict[str, Any]:
     """Returns environment-steps per second on one GPU and on all, medians over the rounds."""
-    sims = {device: simulation(WORKS[work], envs, device) for device in (ONE, ALL)}
+    sims = {device: simulation(SCENES[scene], envs, device) for device in (ONE, ALL)}
     times: dict[str, list[float]] = {device: [] for device in sims}
     for number in range(rounds + 1):
         for device, sim in sims.items():
@@ -59,7 +59,7 @@ def measure(work: str, envs: int, rounds: int, bar: Any) -> dict[str, Any]:
     one, every = (envs * STEPS / statistics.median(times[device]) for device in (ONE, ALL))
     states = [sim.model["body.position"] for sim in sims.values()]
     return {
-        "work": work,
+        "scene": scene,
         "envs": envs,
         "one_gpu_env_steps_per_s": one,
         "all_gpus_env_steps_per_s": every,
@@ -71,7 +71,7 @@ def measure(work: str, envs: int, rounds: int, bar: Any) -> dict[str, Any]:
 def arguments() -> argparse.Namespace:
     """Returns the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--works", nargs="+", choices=WORKS, default=["W1", "W2p8", "W2p64"])
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["W1", "W2p8", "W2p64"])
     parser.add_argument("--envs", type=int, nargs="+", default=[262144, 1048576])
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--out", type=Path)

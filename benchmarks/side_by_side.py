@@ -12,7 +12,7 @@ class SideBySide:
     """Starts the engines, runs them in rounds, and collects their results.
 
     Args:
-        work: Name of the benchmark scene.
+        scene: Name of the benchmark scene.
         envs: Number of environments.
         pythons: Engines and their interpreters.
         arguments: Further arguments of ``measure.py``.
@@ -26,7 +26,7 @@ class SideBySide:
 
     def __init__(
         self,
-        work: str,
+        scene: str,
         envs: int,
         pythons: dict[str, Path],
         arguments: list[str],
@@ -35,10 +35,10 @@ class SideBySide:
         progress: Callable[[str], None],
     ) -> None:
         self.entries: dict[str, dict[str, Any]] = {}
-        self._work = work
+        self._scene = scene
         self._envs = envs
         self._pythons = pythons
-        self._arguments = ["--work", work, "--envs", str(envs), *arguments]
+        self._arguments = ["--scene", scene, "--envs", str(envs), *arguments]
         self._cold = cold
         self._patience = patience
         self._progress = progress
@@ -59,8 +59,7 @@ class SideBySide:
 
     def _wait(self, name: str) -> None:
         with self._turn(name):
-            if not self._workers[name].ready():
-                self._leave(name, "not available")
+            self._workers[name].wait_until_ready()
 
     def round(self) -> dict[str, float]:
         """Runs every engine once; returns their environment-steps per second."""
@@ -94,4 +93,4 @@ class SideBySide:
 
     def _leave(self, name: str, why: str) -> None:
         self._workers.pop(name).end()
-        self.entries[name] = {"work": self._work, "engine": name, "envs": self._envs, "why": why}
+        self.entries[name] = {"scene": self._scene, "engine": name, "envs": self._envs, "why": why}

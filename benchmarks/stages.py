@@ -1,6 +1,6 @@
 """Measures the time of each stage of a step, and lower bounds of the device.
 
-    python benchmarks/stages.py --device cuda:0 --envs 65536 --works W1 W2p64 --out stages.json
+    python benchmarks/stages.py --device cuda:0 --envs 65536 --scenes W1 W2p64 --out stages.json
 
 Each stage is timed over ``STEPS`` steps of a run, at several times. The time includes a launch, about 3 µs on a
 CPU and more on a GPU, so results with few environments are not significant. Lower bounds are one bare
@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import warp as wp
-from engines.warpcontact import WORKS as KNOWN
 from result_file import write
-from works import WORKS
+from scenes import SCENES
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts
@@ -92,8 +91,8 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
 
 def measure(name: str, envs: int, device: str, at: list[int], repeats: int) -> dict[str, Any]:
     """Returns the rate of a benchmark scene, and the times of its stages after given numbers of steps."""
-    work = WORKS[name]
-    sim = simulation(work, envs, device)
+    scene = SCENES[name]
+    sim = simulation(scene, envs, device)
     sim.step(100)
     rates = []
     for _ in range(repeats):
@@ -108,7 +107,7 @@ def measure(name: str, envs: int, device: str, at: list[int], repeats: int) -> d
     for steps in at:
         sim.step(steps - done)
         done = steps + STEPS + 2
-        least = limits(sim.model, work, threads=1)
+        least = limits(sim.model, scene, threads=1)
         costs[str(steps)] = stages(sim, envs) | {
             "bare query": 1e9 * least.query,
             "copy of state": 1e9 * least.copy,
@@ -121,7 +120,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--envs", type=int, nargs="+", default=[128])
-    parser.add_argument("--works", nargs="+", choices=KNOWN, default=list(KNOWN))
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
     parser.add_argument(
         "--at", type=int, nargs="+", default=[100, 400, 900], help="numbers of steps after which stages are timed"
     )
@@ -129,7 +128,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     found: dict[str, Any] = {}
-    for name in options.works:
+    for name in options.scenes:
         for envs in options.envs:
             result = measure(name, envs, options.device, options.at, options.repeats)
             found.setdefault(name, {})[str(envs)] = result

@@ -27,7 +27,7 @@ from result_file import default_path, write
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.system.resources import available_threads
 
-FRESH = Path(__file__).with_name("fresh.py")
+PROCESS = Path(__file__).with_name("start_process.py")
 #: Targets: upper limits of import and first step [s], lower limit of one environment [steps/s].
 PROMISES = {"import": 0.5, "cold": 15.0, "warm": 1.0, "alone": 1e5}
 
@@ -81,7 +81,7 @@ def ask(what: str, options: argparse.Namespace, variables: dict[str, str]) -> di
         words += ["--envs", str(options.envs)]
     start = time.monotonic()
     done = subprocess.run(
-        [sys.executable, FRESH, *words],
+        [sys.executable, PROCESS, *words],
         # Python bytecode is cached, as for users, independent of the settings of this process.
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "", **variables},
         capture_output=True,

@@ -18,7 +18,7 @@ from typing import Any
 
 import warp as wp
 from result_file import default_path, write
-from works import DAMPING, DT, FRICTION, STEPS, STIFFNESS, WORKS
+from scenes import DAMPING, DT, FRICTION, SCENES, STEPS, STIFFNESS
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts, versions
@@ -34,7 +34,7 @@ OUTCOMES = {
 
 def study(envs: int, outcomes: dict[str, Any]) -> dict[str, Any]:
     """Returns the experiment."""
-    work = WORKS["W1"]
+    scene = SCENES["W1"]
     terrain = {"shape": "sinusoidal_terrain", "size": [10, 10], "cells": [100, 100]}
     law = {"type": "KelvinVoigt", "stiffness": STIFFNESS, "damping": DAMPING}
     return {
@@ -43,7 +43,7 @@ def study(envs: int, outcomes: dict[str, Any]) -> dict[str, Any]:
         "duration": STEPS * DT,
         "dt": DT,
         "surface": [{"name": "ground", "mesh": terrain | {"amplitude": 0.2, "wavelength": 2.5}}],
-        "body": [{"name": "ball", "mass": work.mass, "inertia": [work.inertia] * 3, "position": [0, 0, 1]}],
+        "body": [{"name": "ball", "mass": scene.mass, "inertia": [scene.inertia] * 3, "position": [0, 0, 1]}],
         "point": [{"name": "centre", "body": "ball", "position": [0, 0, 0]}],
         "material": [{"name": "rubber", "law": law, "friction": {"type": "Tanh", "mu": FRICTION}}],
         "contact": [
@@ -52,7 +52,7 @@ def study(envs: int, outcomes: dict[str, Any]) -> dict[str, Any]:
                 "points": "centre",
                 "surface": "ground",
                 "material": "rubber",
-                "radius": work.radius,
+                "radius": scene.radius,
             }
         ],
         "variation": {"ball.position": {"uniform": [[-4, -4, 0.7], [4, 4, 0.7]]}},

@@ -10,20 +10,20 @@ def summarise(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Returns one row per benchmark scene and engine, at its best number of environments.
 
     Args:
-        entries: Results of single processes: ``work``, ``engine``, ``envs``, ``env_steps_per_s`` and more.
+        entries: Results of single processes: ``scene``, ``engine``, ``envs``, ``env_steps_per_s`` and more.
     """
     rows = []
-    for work, engine in dict.fromkeys((entry["work"], entry["engine"]) for entry in entries):
-        own = [entry for entry in entries if (entry["work"], entry["engine"]) == (work, engine)]
+    for scene, engine in dict.fromkeys((entry["scene"], entry["engine"]) for entry in entries):
+        own = [entry for entry in entries if (entry["scene"], entry["engine"]) == (scene, engine)]
         done = [entry for entry in own if entry.get("env_steps_per_s")]
         if not done:
-            rows.append({"work": work, "engine": engine, "why": own[0].get("why", "no run")})
+            rows.append({"scene": scene, "engine": engine, "why": own[0].get("why", "no run")})
             continue
         best = max(done, key=lambda entry: statistics.median(entry["env_steps_per_s"]))
         rates = best["env_steps_per_s"]
         rows.append(
             {
-                "work": work,
+                "scene": scene,
                 "engine": engine,
                 "envs": best["envs"],
                 "median": statistics.median(rates),
@@ -36,7 +36,11 @@ def summarise(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
             }
         )
     for row in rows:
-        peers = [r["median"] for r in rows if r["work"] == row["work"] and r["engine"] != OWN and "median" in r]
+        peers = [
+            r["median"]
+            for r in rows
+            if r["scene"] == row["scene"] and not r["engine"].startswith(OWN) and "median" in r
+        ]
         if peers and "median" in row:
             row["of_best_peer"] = round(row["median"] / max(peers), 3)
     return rows
@@ -46,11 +50,13 @@ def doubt(entry: dict[str, Any]) -> str:
     """Returns the reasons why the result of a run may be invalid; empty if there are none."""
     sanity, notes = entry["sanity"], entry.get("notes", {})
     reasons = []
-    if sanity["not_finite"] > 0.0:
+    if sanity.get("not_converged"):
+        reasons.append(f"{sanity['not_converged']:.2%} of the steps not converged")
+    if sanity.get("not_finite"):
         reasons.append(f"{sanity['not_finite']:.2%} not finite")
-    if sanity["below"] > 0.0:
+    if sanity.get("below"):
         reasons.append(f"{sanity['below']:.2%} below the surface")
-    if sanity["highest_body"] > 0.5:
+    if sanity.get("highest_body", 0.0) > 0.5:
         # Bodies fall 0.4 m and lose energy: after one second none can be as high as its start.
         reasons.append(f"a body {sanity['highest_body']:.2g} m above the surface")
     if notes.get("overflow"):
@@ -61,11 +67,11 @@ def doubt(entry: dict[str, Any]) -> str:
 def lines(rows: list[dict[str, Any]]) -> list[str]:
     """Returns the rows as lines of text, with a heading."""
     text = [
-        f"{'work':6} {'engine':21} {'envs':>8} {'env-steps/s':>11}  {'lowest … highest':>19} {'× best peer':>11} "
-        f"{'cores':>5} {'height':>7} {'start':>7}"
+        f"{'scene':7} {'engine':24} {'envs':>8} {'env-steps/s':>11}  {'lowest … highest':>19} {'× best peer':>11} "
+        f"{'cores':>5} {'sanity':>19} {'start':>7}"
     ]
     for row in rows:
-        head = f"{row['work']:6} {row['engine']:21}"
+        head = f"{row['scene']:7} {row['engine']:24}"
         if "why" in row:
             text.append(f"{head} {row['why']}")
             continue
@@ -73,6 +79,13 @@ def lines(rows: list[dict[str, Any]]) -> list[str]:
         ratio = f"{row['of_best_peer']:.2f}" if "of_best_peer" in row else ""
         text.append(
             f"{head} {row['envs']:8} {row['median']:11.2e}  {spread:>19} {ratio:>11} {row['cores_busy']:5.2f} "
-            f"{row['mean_height']:5.3f} m {row['start_s']:5.1f} s{'  ! ' + row['doubt'] if row['doubt'] else ''}"
+            f"{sanity_text(row):>19} {row['start_s']:5.1f} s{'  ! ' + row['doubt'] if row['doubt'] else ''}"
         )
     return text
+
+
+def sanity_text(row: dict[str, Any]) -> str:
+    """Returns the mean height of the bodies, or the median residual and the penetration of nonsmooth contact."""
+    if "mean_height" in row:
+        return f"height {row['mean_height']:.3f} m"
+    return f"{row['residual_median']:.0e}, {1e3 * row['penetration_m']:.3f} mm"

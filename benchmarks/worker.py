@@ -64,11 +64,10 @@ class Worker:
             raise Failure(self.last_output() or f"ended with exit code {self._process.returncode}")
         return json.loads(line)
 
-    def ready(self) -> bool:
-        """Waits until the engine is ready; returns false if it does not support the scene."""
-        answer = self.answer()
+    def wait_until_ready(self) -> None:
+        """Waits until the engine is ready."""
+        self.answer()
         self.start_s = round(self._came - self._begin, 2)
-        return "ready" in answer
 
     def run(self) -> float:
         """Runs once; returns environment-steps per second."""

@@ -1,12 +1,12 @@
-"""Engines of the comparison: one module per engine.
+"""Engines of the comparisons: one module per engine.
 
-A module imports its engine, NumPy and ``works`` only. It has
+A module imports its engine, NumPy, ``scenes`` and ``nonsmooth_scenes`` only. It has
 
-* ``WORKS``: names of the benchmark scenes that the engine supports;
 * ``PACKAGES``: packages whose versions are reported;
-* ``Run(work, envs, device, threads, variant)``: a run ready to start, with ``reset()`` (return to the initial
-  state), ``step(count)``, ``wait()`` (until the device is idle), ``positions()`` (centers of the bodies, ``(envs,
-  bodies, 3)`` [m]) and ``notes()`` (remarks on a run, such as overflows).
+* ``Run(scene, envs, device, threads, variant)`` and, for nonsmooth contact, ``NonsmoothRun``: a run ready to start,
+  with ``reset()`` (return to the initial state), ``step(count)``, ``wait()`` (until the device is idle),
+  ``sanity(steps)`` (figures that show whether a run of ``steps`` steps is physical; called after the last run) and
+  ``notes()`` (remarks on a run, such as overflows).
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Engine:
-    """Engine of the comparison.
+    """Engine of a comparison.
 
     Attributes:
         file: Module of this package, and name of its list of requirements.
         cpu: Whether it is compared on a CPU by default.
-        cuda: Whether it runs on a GPU.
-        variant: Variant passed to ``Run``, such as a solver.
+        cuda: Whether it is compared on a GPU by default.
+        variant: Variant passed to the run, such as a solver.
     """
 
     file: str
@@ -29,10 +29,19 @@ class Engine:
     variant: str = ""
 
 
+#: Compliant contact.
 ENGINES = {
     "warpcontact": Engine("warpcontact"),
     "mujoco": Engine("mujoco", cuda=False),
     "mujoco-warp": Engine("mujoco_warp", cpu=False),  # for GPUs: on a CPU slower than MuJoCo
     "newton-semi-implicit": Engine("newton", variant="semi-implicit"),
     "newton-xpbd": Engine("newton", variant="xpbd"),
+}
+#: Nonsmooth contact. The variants are solvers of this engine and friction cones of MuJoCo.
+NONSMOOTH_ENGINES = {
+    "warpcontact": Engine("warpcontact", variant="auto"),
+    "warpcontact-gauss-seidel": Engine("warpcontact", cpu=False, cuda=False, variant="gauss_seidel"),
+    "warpcontact-accelerated": Engine("warpcontact", cpu=False, cuda=False, variant="accelerated"),
+    "mujoco-elliptic": Engine("mujoco", cuda=False, variant="elliptic"),
+    "mujoco-pyramidal": Engine("mujoco", cuda=False, variant="pyramidal"),
 }

@@ -6,20 +6,24 @@ For d → 0 contacts are independent springs, as the points of a box are. A sphe
 triangle in MuJoCo but one in total in this engine, so the MuJoCo default d = 0.9 is used, which shares the load.
 Cones are elliptic: pyramidal ones gain energy with such soft contacts and are not faster. Contacts between spheres
 have half of k and c, because MuJoCo scales with the masses of both bodies. All other options are defaults.
+
+In the scenes of nonsmooth contact, feet are small spheres, and stiffness, damping and impedance are the defaults.
 """
 
 import mujoco
+import nonsmooth_scenes
 import numpy as np
-from works import DAMPING, DT, FRICTION, GRAVITY, STIFFNESS, Work
+from nonsmooth_scenes import EDGE, HEIGHT, MASS, RADIUS, NonsmoothScene
+from scenes import DAMPING, DT, FRICTION, GRAVITY, STIFFNESS, BenchmarkScene
 
 
-def model(work: Work) -> mujoco.MjModel:
+def model(scene: BenchmarkScene) -> mujoco.MjModel:
     """Returns the model of a benchmark scene, with its bodies at the origin."""
     spec = mujoco.MjSpec()
     spec.option.timestep = DT
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.gravity = (0.0, 0.0, -GRAVITY)
-    surface = work.surface
+    surface = scene.surface
     low, high = surface.heights.min(), surface.heights.max()
     spec.add_hfield(
         name="surface",
@@ -28,26 +32,54 @@ def model(work: Work) -> mujoco.MjModel:
         ncol=len(surface.x),
         userdata=((surface.heights.T - low) / (high - low)).ravel(),
     )
-    impedance = 0.9 if work.points is None else 0.01
+    impedance = 0.9 if scene.points is None else 0.01
     contact = {
         "friction": (FRICTION, 0.0, 0.0),
         "condim": 3,
-        "solref": (-STIFFNESS / work.mass, -DAMPING / work.mass),
+        "solref": (-STIFFNESS / scene.mass, -DAMPING / scene.mass),
         "solimp": (impedance, impedance, 0.001, 0.5, 2.0),
     }
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="surface", pos=(0.0, 0.0, low), **contact
     )
-    for _ in range(work.bodies):
-        body = spec.worldbody.add_body(mass=work.mass, inertia=[work.inertia] * 3, explicitinertial=True)
+    for _ in range(scene.bodies):
+        body = spec.worldbody.add_body(mass=scene.mass, inertia=[scene.inertia] * 3, explicitinertial=True)
         body.add_freejoint()
-        for centre, radius in work.spheres():
+        for centre, radius in scene.spheres():
             body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(radius, 0, 0), pos=centre, mass=0.0, **contact)
     return spec.compile()
 
 
-def start(work: Work, envs: int) -> np.ndarray:
+def start(scene: BenchmarkScene, envs: int) -> np.ndarray:
     """Returns the initial ``qpos``, ``(envs, 7·bodies)``."""
-    positions = work.start(envs)
+    positions = scene.start(envs)
     upright = np.broadcast_to((1.0, 0.0, 0.0, 0.0), (*positions.shape[:2], 4))
     return np.concatenate((positions, upright), axis=-1).reshape(envs, -1)
+
+
+def nonsmooth_model(scene: NonsmoothScene, cone: str) -> mujoco.MjModel:
+    """Returns the model of a benchmark scene of nonsmooth contact, with ``"elliptic"`` or ``"pyramidal"`` cones."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = nonsmooth_scenes.DT
+    spec.option.gravity = (0.0, 0.0, -GRAVITY)
+    cones = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+    spec.option.cone = cones[cone]
+    contact = {"friction": (nonsmooth_scenes.FRICTION, 0.0, 0.0), "condim": 3}
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=(20.0, 20.0, 1.0), contype=1, conaffinity=0, **contact
+    )
+    for number, center in enumerate(scene.start()):
+        body = spec.worldbody.add_body(pos=center, mass=MASS, inertia=scene.inertia, explicitinertial=True)
+        body.add_freejoint()
+        # The feet of a box collide only with the next lower object: bit ``number`` marks the object under box
+        # ``number``.
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=(EDGE / 2, EDGE / 2, HEIGHT / 2), mass=0.0,
+            contype=2 << number, conaffinity=0, **contact,
+        )  # fmt: skip
+        for foot in scene.feet_centers:
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(RADIUS, 0, 0), pos=foot, mass=0.0,
+                contype=0, conaffinity=1 << number, **contact,
+            )  # fmt: skip
+    return spec.compile()

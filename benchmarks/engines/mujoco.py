@@ -5,28 +5,36 @@ from typing import Any
 import mujoco
 import mujoco.rollout
 import numpy as np
-from works import Work
+from nonsmooth_scenes import DT, FRICTION, SAMPLES, NonsmoothScene, residual
+from scenes import BenchmarkScene, sanity
 
 from engines import mjcf
 
-WORKS = ("W1", "W2p8", "W2p64", "W3")
 PACKAGES = ("mujoco", "numpy")
 
 STEPS_AT_ONCE = 100  # rollouts store every state: long ones are limited by memory bandwidth
+SAMPLED_ENVS = 8  # environments in which residuals are computed
 
 
-class Run:
-    """Run of a benchmark scene; see the package."""
+class Rollouts:
+    """Common part of all runs: rollouts of a model.
 
-    def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
-        self._model = mjcf.model(work)
-        self._bodies = work.bodies
-        self._data = [mujoco.MjData(self._model) for _ in range(threads)]
+    Args:
+        model: The model.
+        positions: Initial ``qpos``, ``(envs, nq)``.
+        velocities: Initial ``qvel``, ``(envs, nv)``.
+        threads: Number of threads.
+    """
+
+    def __init__(self, model: mujoco.MjModel, positions: np.ndarray, velocities: np.ndarray, threads: int) -> None:
+        self._model = model
+        self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = mujoco.rollout.Rollout(nthread=threads)
-        size = mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        self._start = np.zeros((envs, size))
-        self._start[:, 1 : 1 + self._model.nq] = mjcf.start(work, envs)
-        self._states = np.zeros((envs, STEPS_AT_ONCE, size))
+        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        self._start = np.zeros((len(positions), size))
+        self._start[:, 1 : 1 + model.nq] = positions
+        self._start[:, 1 + model.nq : 1 + model.nq + model.nv] = velocities
+        self._states = np.zeros((len(positions), STEPS_AT_ONCE, size))
         self.reset()
 
     def reset(self) -> None:
@@ -43,8 +51,77 @@ class Run:
     def wait(self) -> None:
         pass
 
-    def positions(self) -> np.ndarray:
-        return self._state[:, 1 : 1 + self._model.nq].reshape(len(self._state), self._bodies, 7)[..., :3]
-
     def notes(self) -> dict[str, Any]:
         return {}
+
+
+class Run(Rollouts):
+    """Run of a benchmark scene; see the package."""
+
+    def __init__(self, scene: BenchmarkScene, envs: int, device: str, threads: int, variant: str) -> None:
+        self._scene = scene
+        model = mjcf.model(scene)
+        super().__init__(model, mjcf.start(scene, envs), np.zeros((envs, model.nv)), threads)
+
+    def sanity(self, steps: int) -> dict[str, float]:
+        poses = self._state[:, 1 : 1 + self._model.nq].reshape(len(self._state), self._scene.bodies, 7)
+        return sanity(self._scene, poses[..., :3])
+
+
+class NonsmoothRun(Rollouts):
+    """Run of a benchmark scene of nonsmooth contact; see the package. The variant is the friction cone."""
+
+    def __init__(self, scene: NonsmoothScene, envs: int, device: str, threads: int, variant: str) -> None:
+        model = mjcf.nonsmooth_model(scene, variant)
+        velocities = np.zeros((envs, scene.boxes, 6))
+        velocities[..., :3] = scene.velocities(envs)[:, None]
+        positions = np.broadcast_to(model.qpos0, (envs, model.nq))
+        super().__init__(model, positions, velocities.reshape(envs, -1), threads)
+
+    def sanity(self, steps: int) -> dict[str, float]:
+        m, d = self._model, self._data[0]
+        residuals, iterations, deepest, speeds = [], [], 0.0, []
+        every = max(steps // SAMPLES, 1)
+        for start in self._start[:SAMPLED_ENVS]:
+            mujoco.mj_resetData(m, d)
+            mujoco.mj_setState(m, d, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+            for step in range(steps):
+                if step % every == every - 1:
+                    residuals.append(self._residual())
+                    iterations.append(int(d.solver_niter[0]))
+                else:
+                    mujoco.mj_step(m, d)
+                if d.ncon:
+                    deepest = min(deepest, float(d.contact.dist.min()))
+            speeds.append(np.abs(d.qvel).max())
+        return {
+            "residual_median": float(np.median(residuals)),
+            "residual_worst": float(np.max(residuals)),
+            "iterations_mean": float(np.mean(iterations)),
+            "penetration_m": -deepest,
+            "speed_at_end_m_s": float(np.max(speeds)),
+        }
+
+    def _residual(self) -> float:
+        """Takes a step; returns the residual of its contacts as a rigid contact problem."""
+        m, d = self._model, self._data[0]
+        mujoco.mj_step1(m, d)
+        mujoco.mj_step2(m, d)
+        after = d.qvel.copy()
+        count = d.ncon
+        J = np.zeros((3 * count, m.nv))
+        impulses = np.zeros((count, 3))
+        force = np.zeros(6)
+        for number in range(count):
+            contact = d.contact[number]
+            mujoco.mj_contactForce(m, d, number, force)
+            impulses[number] = DT * force[:3]
+            frame = contact.frame.reshape(3, 3)
+            for geom, sign in ((contact.geom[0], -1.0), (contact.geom[1], 1.0)):
+                at_point = np.zeros((3, m.nv))
+                mujoco.mj_jac(m, d, at_point, None, contact.pos, m.geom_bodyid[geom])
+                J[3 * number : 3 * number + 3] += sign * frame @ at_point
+        solved = np.zeros_like(J)
+        mujoco.mj_solveM(m, d, solved, J)
+        W = J @ solved.T
+        return residual(W, (J @ after).reshape(-1, 3), impulses, FRICTION)

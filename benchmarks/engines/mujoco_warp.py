@@ -3,13 +3,11 @@
 from typing import Any
 
 import mujoco_warp as mjw
-import numpy as np
 import warp as wp
-from works import Work
+from scenes import BenchmarkScene, sanity
 
 from engines import mjcf
 
-WORKS = ("W1", "W2p8", "W2p64", "W3")
 PACKAGES = ("mujoco-warp", "mujoco", "warp-lang", "numpy")
 
 #: Candidate pairs per environment (mean over all environments), and maximum contacts of one environment.
@@ -21,14 +19,15 @@ STEPS_IN_GRAPH = 10
 class Run:
     """Run of a benchmark scene; see the package."""
 
-    def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
+    def __init__(self, scene: BenchmarkScene, envs: int, device: str, threads: int, variant: str) -> None:
         wp.config.log_level = wp.LOG_ERROR
-        self._shape = (envs, work.bodies)
-        host = mjcf.model(work)
+        self._scene = scene
+        self._shape = (envs, scene.bodies)
+        host = mjcf.model(scene)
         wp.set_device(device)
         self._model = mjw.put_model(host)
-        self._data = mjw.make_data(host, nworld=envs, nconmax=PAIRS[work.name], njmax=3 * CONTACTS[work.name])
-        self._start = wp.array(mjcf.start(work, envs), dtype=float)
+        self._data = mjw.make_data(host, nworld=envs, nconmax=PAIRS[scene.name], njmax=3 * CONTACTS[scene.name])
+        self._start = wp.array(mjcf.start(scene, envs), dtype=float)
         self.reset()
         mjw.step(self._model, self._data)  # compiles all kernels
         self._graph = None
@@ -57,8 +56,8 @@ class Run:
     def wait(self) -> None:
         wp.synchronize()
 
-    def positions(self) -> np.ndarray:
-        return self._data.qpos.numpy().reshape(*self._shape, 7)[..., :3]
+    def sanity(self, steps: int) -> dict[str, float]:
+        return sanity(self._scene, self._data.qpos.numpy().reshape(*self._shape, 7)[..., :3])
 
     def notes(self) -> dict[str, Any]:
         return {

@@ -12,9 +12,8 @@ from typing import Any
 import newton
 import numpy as np
 import warp as wp
-from works import DAMPING, DT, FRICTION, GRAVITY, SLIP_SPEED, STIFFNESS, Work
+from scenes import DAMPING, DT, FRICTION, GRAVITY, SLIP_SPEED, STIFFNESS, BenchmarkScene, sanity
 
-WORKS = ("W1", "W2p8", "W2p64", "W3")
 PACKAGES = ("newton", "warp-lang", "numpy")
 
 GAPS = {"semi-implicit": 0.0, "xpbd": 0.004}
@@ -27,15 +26,16 @@ STEPS_IN_GRAPH = 10  # even, so that the state ends in the first of the two buff
 class Run:
     """Run of a benchmark scene; see the package."""
 
-    def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
+    def __init__(self, scene: BenchmarkScene, envs: int, device: str, threads: int, variant: str) -> None:
         wp.config.log_level = wp.LOG_ERROR
-        self._shape = (envs, work.bodies)
+        self._scene = scene
+        self._shape = (envs, scene.bodies)
         with wp.ScopedDevice(device):
-            self._model = _model(work, envs, GAPS[variant])
+            self._model = _model(scene, envs, GAPS[variant])
             self._pipeline = newton.CollisionPipeline(
                 self._model,
-                rigid_contact_max=CONTACTS[work.name] * envs,
-                max_triangle_pairs=max(TRIANGLES[work.name] * envs, 1000),
+                rigid_contact_max=CONTACTS[scene.name] * envs,
+                max_triangle_pairs=max(TRIANGLES[scene.name] * envs, 1000),
             )
             self._contacts = self._pipeline.contacts()
             if variant == "xpbd":
@@ -44,8 +44,8 @@ class Run:
                 self._solver = newton.solvers.SolverSemiImplicit(self._model, angular_damping=0.0)
             self._states = [self._model.state(), self._model.state()]
             self._control = self._model.control()
-            poses = np.zeros((envs * work.bodies, 7), dtype=np.float32)
-            poses[:, :3], poses[:, 6] = work.start(envs).reshape(-1, 3), 1.0
+            poses = np.zeros((envs * scene.bodies, 7), dtype=np.float32)
+            poses[:, :3], poses[:, 6] = scene.start(envs).reshape(-1, 3), 1.0
             self._start = wp.array(poses, dtype=wp.transform)
             self.reset()
             self._take(2)  # compiles all kernels
@@ -73,25 +73,25 @@ class Run:
     def wait(self) -> None:
         wp.synchronize()
 
-    def positions(self) -> np.ndarray:
-        return self._states[0].body_q.numpy().reshape(*self._shape, 7)[..., :3]
+    def sanity(self, steps: int) -> dict[str, float]:
+        return sanity(self._scene, self._states[0].body_q.numpy().reshape(*self._shape, 7)[..., :3])
 
     def notes(self) -> dict[str, Any]:
         return {"contacts": round(int(self._contacts.rigid_contact_count.numpy()[0]) / self._shape[0], 2)}
 
 
-def _model(work: Work, envs: int, gap: float) -> newton.Model:
-    slope = FRICTION * work.mass * GRAVITY / (SLIP_SPEED * work.resting_contacts)
+def _model(scene: BenchmarkScene, envs: int, gap: float) -> newton.Model:
+    slope = FRICTION * scene.mass * GRAVITY / (SLIP_SPEED * scene.resting_contacts)
     material = newton.ModelBuilder.ShapeConfig(
         ke=STIFFNESS, kd=DAMPING, kf=slope, mu=FRICTION, mu_torsional=0.0, mu_rolling=0.0, density=0.0, gap=gap
     )
     one = newton.ModelBuilder(gravity=(0.0, 0.0, -GRAVITY))
-    for _ in range(work.bodies):
-        body = one.add_body(mass=work.mass, inertia=wp.mat33(np.eye(3) * work.inertia))
-        for centre, radius in work.spheres():
+    for _ in range(scene.bodies):
+        body = one.add_body(mass=scene.mass, inertia=wp.mat33(np.eye(3) * scene.inertia))
+        for centre, radius in scene.spheres():
             one.add_shape_sphere(body, xform=wp.transform(wp.vec3(*centre)), radius=radius, cfg=material)
     scene = newton.ModelBuilder(gravity=(0.0, 0.0, -GRAVITY))
-    mesh = newton.Mesh(work.surface.vertices, work.surface.faces.ravel(), compute_inertia=False)
+    mesh = newton.Mesh(scene.surface.vertices, scene.surface.faces.ravel(), compute_inertia=False)
     scene.add_shape_mesh(-1, mesh=mesh, cfg=material)
     scene.replicate(one, envs)
     return scene.finalize()

@@ -1,6 +1,8 @@
 """Benchmark scenes have the documented properties, and the table reports the measured figures."""
 
 import importlib.util
+import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -25,43 +27,43 @@ def load(name):
 
 
 @pytest.fixture(scope="module")
-def works():
-    return load("works").WORKS
+def scenes():
+    return load("scenes").SCENES
 
 
-def test_benchmark_terrain_equals_library_terrain(works):
+def test_benchmark_terrain_equals_library_terrain(scenes):
     terrain = wc.meshes.sinusoidal_terrain((10, 10), (100, 100), amplitude=0.2, wavelength=2.5)
     assert len(terrain.faces) == 20_000
     for name in ("W1", "W2p8", "W2p64"):
-        np.testing.assert_allclose(works[name].surface.vertices, terrain.vertices, atol=1e-15)
-        np.testing.assert_array_equal(works[name].surface.faces, terrain.faces)
+        np.testing.assert_allclose(scenes[name].surface.vertices, terrain.vertices, atol=1e-15)
+        np.testing.assert_array_equal(scenes[name].surface.faces, terrain.faces)
 
 
-def test_benchmark_bowl_has_1280_upward_facing_triangles(works):
-    surface = works["W3"].surface
+def test_benchmark_bowl_has_1280_upward_facing_triangles(scenes):
+    surface = scenes["W3"].surface
     assert len(surface.faces) == 1280
     a, b, c = np.moveaxis(surface.vertices[surface.faces], 1, 0)
     assert np.all(np.cross(b - a, c - a)[:, 2] > 0.0)
     np.testing.assert_allclose(surface.vertices[:, 2], np.sum(surface.vertices[:, :2] ** 2, axis=1) / 3.2)
 
 
-def test_benchmark_surface_height_matches_triangles(works):
-    surface = works["W1"].surface
+def test_benchmark_surface_height_matches_triangles(scenes):
+    surface = scenes["W1"].surface
     weights = np.random.default_rng(0).dirichlet((1, 1, 1), len(surface.faces))
     points = np.einsum("fk,fki->fi", weights, surface.vertices[surface.faces])
     np.testing.assert_allclose(surface.height(points), points[:, 2], atol=1e-12)
 
 
-def test_benchmark_bodies_have_density_of_water(works):
-    assert works["W1"].mass == pytest.approx(4.18879, rel=1e-6)
-    assert works["W1"].inertia == pytest.approx(0.4 * 4.18879 * 0.01, rel=1e-6)
-    assert works["W2p8"].mass == works["W2p64"].mass == pytest.approx(8.0)
-    assert works["W2p64"].inertia == pytest.approx(8.0 * 0.2**2 / 6)
+def test_benchmark_bodies_have_density_of_water(scenes):
+    assert scenes["W1"].mass == pytest.approx(4.18879, rel=1e-6)
+    assert scenes["W1"].inertia == pytest.approx(0.4 * 4.18879 * 0.01, rel=1e-6)
+    assert scenes["W2p8"].mass == scenes["W2p64"].mass == pytest.approx(8.0)
+    assert scenes["W2p64"].inertia == pytest.approx(8.0 * 0.2**2 / 6)
 
 
 @pytest.mark.parametrize(("name", "count", "on_a_face"), [("W2p8", 8, {4}), ("W2p64", 64, {16, 20})])
-def test_benchmark_box_points_are_spaced_apart_on_its_surface(works, name, count, on_a_face):
-    points = works[name].points
+def test_benchmark_box_points_are_spaced_apart_on_its_surface(scenes, name, count, on_a_face):
+    points = scenes[name].points
     assert points.shape == (count, 3)
     np.testing.assert_allclose(np.max(np.abs(points), axis=1), 0.1)
     apart = np.linalg.norm(points[:, None] - points, axis=2) + np.eye(count)
@@ -71,30 +73,30 @@ def test_benchmark_box_points_are_spaced_apart_on_its_surface(works, name, count
     } == on_a_face
 
 
-def test_benchmark_point_spheres_touch_the_box_faces(works):
+def test_benchmark_point_spheres_touch_the_box_faces(scenes):
     for name in ("W2p8", "W2p64"):
-        for (centre, radius), point in zip(works[name].spheres(), works[name].points, strict=True):
+        for (centre, radius), point in zip(scenes[name].spheres(), scenes[name].points, strict=True):
             assert np.max(np.abs(centre)) + radius == pytest.approx(0.1)
             assert np.linalg.norm(centre - point) <= radius * 3**0.5 + 1e-12
 
 
-def test_benchmark_bodies_start_above_the_surface_and_apart(works):
-    for work in works.values():
-        start = work.start(500)
-        assert start.shape == (500, work.bodies, 3)
-        np.testing.assert_allclose(start[..., 2] - work.surface.height(start), 0.5)
-        np.testing.assert_array_equal(start, work.start(500))
-    spheres = works["W3"].start(500)
+def test_benchmark_bodies_start_above_the_surface_and_apart(scenes):
+    for scene in scenes.values():
+        start = scene.start(500)
+        assert start.shape == (500, scene.bodies, 3)
+        np.testing.assert_allclose(start[..., 2] - scene.surface.height(start), 0.5)
+        np.testing.assert_array_equal(start, scene.start(500))
+    spheres = scenes["W3"].start(500)
     apart = np.linalg.norm(spheres[:, :, None] - spheres[:, None], axis=3) + np.eye(10)
     assert apart.min() > 0.2
 
 
-def test_benchmark_spheres_come_to_rest_in_the_bowl(works, device):
-    work = works["W3"]
-    sim = simulation(work, 4, device)
+def test_benchmark_spheres_come_to_rest_in_the_bowl(scenes, device):
+    scene = scenes["W3"]
+    sim = simulation(scene, 4, device)
     sim.step(1500)
     positions = sim.model.sensor("body.position")
-    figures = load("works").sanity(work, positions)
+    figures = load("scenes").sanity(scene, positions)
     assert figures["below"] == figures["not_finite"] == 0.0
     # On the bowl or on each other; no penetration exceeds what dashpots and weight explain.
     assert figures["highest_body"] < 0.5
@@ -108,7 +110,7 @@ def test_table_row_has_best_environment_count_and_ratio_to_best_peer():
     def entry(engine, envs, *rates, **sanity):
         figures = {"mean_height": 0.1, "highest_body": 0.2, "below": 0.0, "not_finite": 0.0} | sanity
         return {
-            "work": "W1",
+            "scene": "W1",
             "engine": engine,
             "envs": envs,
             "env_steps_per_s": list(rates),
@@ -123,7 +125,7 @@ def test_table_row_has_best_environment_count_and_ratio_to_best_peer():
             entry("warpcontact", 16, 90.0, 80.0, 300.0),
             entry("one", 8, 30.0, 20.0, 10.0),
             entry("two", 8, 15.0, 15.0, 15.0, below=0.25, highest_body=3.0),
-            {"work": "W1", "engine": "three", "envs": 8, "why": "not available"},
+            {"scene": "W1", "engine": "three", "envs": 8, "why": "not available"},
         ]
     )
     own, one, two, three = rows
@@ -133,3 +135,30 @@ def test_table_row_has_best_environment_count_and_ratio_to_best_peer():
     assert two["doubt"] == "25.00% below the surface, a body 3 m above the surface"
     assert three["why"] == "not available"
     assert len(table.lines(rows)) == 5
+
+
+def test_nonsmooth_residual_is_zero_for_stick_slip_and_separation():
+    residual = load("nonsmooth_scenes").residual
+    resting = np.zeros(3)
+    sliding = np.array([0.0, 0.3, -0.4])
+    leaving = np.array([0.2, 0.0, 0.0])
+    impulses = np.array([[2.0, 0.1, 0.7], [2.0, -0.48, 0.64], [0.0, 0.0, 0.0]])
+    W = np.eye(9)
+    velocities = np.stack([resting, sliding, leaving])
+    assert residual(W, velocities, impulses, 0.4) < 1e-12
+    assert residual(W, -velocities, impulses, 0.4) > 1e-2
+
+
+@pytest.mark.slow
+def test_nonsmooth_comparison_reports_a_small_residual(device, tmp_path):
+    out = tmp_path / "figures.json"
+    words = ["nonsmooth", "--engines", "warpcontact", "--here", "--scenes", "table4", "--envs", "3"]
+    words += ["--rounds", "1", "--at-least", "1e-6", "--device", device, "--out", str(out)]
+    done = subprocess.run(
+        [sys.executable, FOLDER / "compare.py", *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    (entry,) = json.loads(out.read_text())["measured"]
+    assert entry["sanity"]["residual_worst"] < 2e-5
+    assert entry["sanity"]["not_converged"] == 0.0
+    assert entry["sanity"]["penetration_m"] < 1e-4

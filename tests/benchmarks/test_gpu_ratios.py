@@ -134,13 +134,13 @@ def test_compare_keeps_stored_ratios(load, tmp_path, monkeypatch):
     compare, files = load("compare"), load("result_file")
     path = tmp_path / "cpu.json"
     files.write(path, {files.RATIOS: figures(), "measured": ["old"]})
-    entry = {"engine": "warpcontact", "work": "W1", "envs": 8, "why": "not run"}
+    entry = {"engine": "warpcontact", "scene": "W1", "envs": 8, "why": "not run"}
     monkeypatch.setattr(compare, "compare", lambda *_: [dict(entry)])
     words = [
         "compare.py",
         "--engines",
         "warpcontact",
-        "--works",
+        "--scenes",
         "W1",
         "--envs",
         "8",

@@ -110,7 +110,7 @@ def test_growth_is_fitted_for_every_series(load):
 
 
 def test_scaling_series_vary_one_quantity(load):
-    series = load("series")
+    series = load("scaling_cases")
     sizes = series.Sizes("cpu", 256, 512, 10**6, 6)
     found = {name: series.cases(name, sizes) for name in series.SERIES}
     assert {case.value for case in found["environments"]} == {1, 4, 16, 64, 256}
@@ -118,11 +118,11 @@ def test_scaling_series_vary_one_quantity(load):
     assert {case.value for case in found["threads"]} == {1, 2, 4, 6}
     assert all(case.threads == case.value for case in found["threads"])
     for case in found["points"]:
-        assert case.value == (1 if case.work.points is None else len(case.work.points))
+        assert case.value == (1 if case.scene.points is None else len(case.scene.points))
     triangles = sorted({case.value for case in found["triangles"]})
     assert triangles[0] < 1e3 < triangles[-1] < 1e6
     for case in found["triangles"]:
-        assert len(case.work.surface.faces) == case.value
+        assert len(case.scene.surface.faces) == case.value
     for name in ("points", "triangles", "threads"):
         assert len({case.envs for case in found[name]}) == 1
     gpu = series.Sizes("cuda:0", 4**10, 512, 10**6, 6)
@@ -132,7 +132,7 @@ def test_scaling_series_vary_one_quantity(load):
 
 def test_scaling_points_are_added_to_the_box_corners(load):
     for count in (8, 9, 64):
-        points = load("series").spread_points(count)
+        points = load("scaling_cases").spread_points(count)
         assert points.shape == (count, 3)
         np.testing.assert_allclose(np.max(np.abs(points), axis=1), 0.1)
         np.testing.assert_allclose(np.abs(points[:8]), 0.1)
@@ -172,7 +172,7 @@ def test_scaling_benchmark_runs_without_matplotlib_and_is_plotted_elsewhere(devi
 
 def test_stage_benchmark_runs_with_minimal_dependencies(device, tmp_path, bare):
     out = tmp_path / "stages.json"
-    words = ["--device", device, "--envs", "2", "--works", "W2p8", "--at", "3", "--repeats", "1", "--out", out]
+    words = ["--device", device, "--envs", "2", "--scenes", "W2p8", "--at", "3", "--repeats", "1", "--out", out]
     done = run("stages.py", *words, **bare)
     assert done.returncode == 0, done.stderr
     costs = json.loads(out.read_text())["stages"]["W2p8"]["2"]["ns_per_env_after_steps"]["3"]

@@ -11,9 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
-from warpcontact.benchmark import limits, short_form
+from warpcontact.benchmark import limits, measurement
+from warpcontact.benchmark.scenes import SCENES, STEPS
 from warpcontact.benchmark.simulation import run_seconds, simulation
-from warpcontact.benchmark.works import STEPS, WORKS
 from warpcontact.cli import main
 
 pytestmark = pytest.mark.installed
@@ -29,7 +29,7 @@ def report(device):
 
 @pytest.mark.slow
 def test_bench_report_has_figures_of_every_benchmark_scene(report, device):
-    assert [figures.work for figures in report.works] == list(WORKS)
+    assert [figures.work for figures in report.works] == list(SCENES)
     assert report.envs == 3
     assert report.facts["cores"] >= 1
     assert report.versions["warpcontact"] == wc.__version__
@@ -55,38 +55,38 @@ def test_bench_report_prints_a_table_and_round_trips_through_json(report):
 
 
 def test_bench_alternates_scenes_until_each_used_its_time():
-    entries = [short_form._Entry(name, None, None, 0.0) for name in "ab"]
+    entries = [measurement._Entry(name, None, None, 0.0) for name in "ab"]
     order = []
-    for entry in short_form._round_robin(entries, seconds=2.0):
+    for entry in measurement._round_robin(entries, seconds=2.0):
         order.append(entry.title)
         entry.times.append({"a": 1.0, "b": 0.5}[entry.title])
     assert "".join(order) == "ababbb"
 
 
-@pytest.mark.parametrize("title", WORKS)
+@pytest.mark.parametrize("title", SCENES)
 def test_benchmark_bodies_come_to_rest_on_the_terrain(title, device):
-    work = WORKS[title]
-    with short_form._without_step_warnings():
-        sim = simulation(work, 16, device)
+    scene = SCENES[title]
+    with measurement._without_step_warnings():
+        sim = simulation(scene, 16, device)
         assert run_seconds(sim, STEPS) > 0.0
     assert sim.steps == STEPS
     position = sim.state.body_position.numpy()[:, 0]
-    height = position[:, 2] - work.surface.height(position)
+    height = position[:, 2] - scene.surface.height(position)
     assert np.all((height > 0.09) & (height < 0.25))
     assert (sim.model.sensor("touch.status") == wc.ContactStatus.CONTACT).any()
 
 
 def test_lower_bounds_query_the_current_point_positions(device):
-    work = WORKS["box of 8 points"]
-    with short_form._without_step_warnings():
-        sim = simulation(work, 5, device)
+    scene = SCENES["box of 8 points"]
+    with measurement._without_step_warnings():
+        sim = simulation(scene, 5, device)
         sim.step(800)
-    turned = Rotation.from_quat(sim.model.sensor("body.orientation")).as_matrix() @ work.points.T
+    turned = Rotation.from_quat(sim.model.sensor("body.orientation")).as_matrix() @ scene.points.T
     assert np.ptp(turned, axis=0).max() > 0.01  # they are on different slopes
-    places = limits._places(sim.model, work) - sim.model.sensor("body.position")[:, None]
+    places = limits.query_points(sim.model, scene) - sim.model.sensor("body.position")[:, None]
     np.testing.assert_allclose(places, turned.swapaxes(1, 2), atol=1e-6)
     for threads in (1, 2, 64):
-        assert min(limits.limits(sim.model, work, threads)) > 0.0
+        assert min(limits.limits(sim.model, scene, threads)) > 0.0
 
 
 def test_bench_command_prints_table_and_writes_json(device, tmp_path, capsys):

@@ -16,8 +16,8 @@ import pytest
 from warpcontact.kernels.particles.base import WAS_IN_CONTACT
 
 import warpcontact as wc
+from warpcontact.benchmark.scenes import DT
 from warpcontact.benchmark.simulation import simulation
-from warpcontact.benchmark.works import DT
 from warpcontact.forces import execution_plan
 from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
@@ -164,12 +164,12 @@ def sticking_particles():
 
 def benchmark_scenes():
     """Returns the benchmark scenes by name."""
-    name = "benchmarks_works"
+    name = "benchmarks_scenes"
     if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, BENCHMARKS / "works.py")
+        spec = importlib.util.spec_from_file_location(name, BENCHMARKS / "scenes.py")
         sys.modules[name] = module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-    return sys.modules[name].WORKS
+    return sys.modules[name].SCENES
 
 
 def benchmark(name, envs=ENVS):

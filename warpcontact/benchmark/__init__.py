@@ -6,8 +6,8 @@ Names are imported on first use, because other engines use the scenes in environ
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from warpcontact.benchmark.measurement import bench
     from warpcontact.benchmark.report import BenchReport
-    from warpcontact.benchmark.short_form import bench
 
 __all__ = ["BenchReport", "bench"]
 
@@ -15,6 +15,6 @@ __all__ = ["BenchReport", "bench"]
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'warpcontact.benchmark' has no attribute {name!r}")
-    from warpcontact.benchmark import report, short_form
+    from warpcontact.benchmark import measurement, report
 
-    return getattr(report if name == "BenchReport" else short_form, name)
+    return getattr(report if name == "BenchReport" else measurement, name)

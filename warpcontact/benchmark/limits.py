@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from warpcontact.benchmark.works import Array, Work
+from warpcontact.benchmark.scenes import Array, BenchmarkScene
 from warpcontact.kernels.narrowphase.bare_query import kernel
 from warpcontact.model.model import Model
 from warpcontact.system.compilation import compile_as_launched
@@ -43,12 +43,12 @@ def load_query(device: wp.Device) -> wp.Kernel:
     return bare_query
 
 
-def limits(model: Model, work: Work, threads: int) -> Limits:
+def limits(model: Model, scene: BenchmarkScene, threads: int) -> Limits:
     """Measures the bounds for a scene at the current state of its model.
 
     Args:
         model: Model of the scene.
-        work: The scene.
+        scene: The scene.
         threads: Number of CPU threads over which the environments are split; ignored on a GPU.
     """
     device = model.device
@@ -56,13 +56,13 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
     # In Warp's debug mode, kernels share a pointer and cannot run concurrently.
     parts = 1 if device.is_cuda or wp.config.mode == "debug" else min(threads, model.envs)
     envs = np.array_split(np.arange(model.envs), parts)
-    surface = work.surface
+    surface = scene.surface
     mesh = wp.Mesh(
         points=wp.array(surface.vertices, dtype=wp.vec3f, device=device),
         indices=wp.array(surface.faces.ravel(), dtype=wp.int32, device=device),
         bvh_constructor="sah",
     )
-    places = _places(model, work)
+    places = query_points(model, scene)
     queries, copies, keep_alive = [], [], []
     for part in envs:
         points = wp.array(places[part].reshape(-1, 3), dtype=wp.vec3f, device=device)
@@ -75,19 +75,19 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
         source = wp.zeros(len(part) * _state_bytes(model), dtype=wp.uint8, device=device)
         copies.append(_copy(wp.zeros_like(source), source))
     with ThreadPoolExecutor(len(envs)) as pool:
-        query, copy = (_seconds(works, pool, device) / model.envs for works in (queries, copies))
+        query, copy = (_seconds(tasks, pool, device) / model.envs for tasks in (queries, copies))
     return Limits(query, copy)
 
 
-def _places(model: Model, work: Work) -> Array:
+def query_points(model: Model, scene: BenchmarkScene) -> Array:
     """Returns the positions of the points, (envs, points, 3), world frame [m]."""
     position = model.sensor(POSITION)[:, None]
-    if work.points is None:
+    if scene.points is None:
         return position
     orientation = model.sensor("body.orientation")[:, None]
     axis, w = orientation[..., :3], orientation[..., 3:]
-    turned = np.cross(axis, work.points) * 2.0
-    return position + work.points + w * turned + np.cross(axis, turned)
+    turned = np.cross(axis, scene.points) * 2.0
+    return position + scene.points + w * turned + np.cross(axis, turned)
 
 
 def _state_bytes(model: Model) -> int:
@@ -100,41 +100,41 @@ def _copy(target: wp.array, source: wp.array) -> Callable[[], None]:
     return lambda: wp.copy(target, source)
 
 
-def _seconds(works: Sequence[Callable[[], None]], pool: ThreadPoolExecutor, device: wp.Device) -> float:
-    """Returns the time of executing all ``works`` once, concurrently [s]."""
+def _seconds(tasks: Sequence[Callable[[], None]], pool: ThreadPoolExecutor, device: wp.Device) -> float:
+    """Returns the time of executing all ``tasks`` once, concurrently [s]."""
     if device.is_cuda:
-        several = _captured(works[0], device)
+        several = _captured(tasks[0], device)
         return _median(lambda count: _repeat(several, count), device) / IN_GRAPH
 
     def all_parts(count: int) -> None:
         # Each thread repeats its own work, so that synchronization counts once.
-        for future in [pool.submit(_repeat, work, count) for work in works]:
+        for future in [pool.submit(_repeat, task, count) for task in tasks]:
             future.result()
 
     return _median(all_parts, device)
 
 
-def _captured(work: Callable[[], None], device: wp.Device) -> Callable[[], None]:
-    """Returns a graph with ``IN_GRAPH`` repetitions of ``work``, so that launch overhead on the host is negligible."""
+def _captured(task: Callable[[], None], device: wp.Device) -> Callable[[], None]:
+    """Returns a graph with ``IN_GRAPH`` repetitions of ``task``, so that launch overhead on the host is negligible."""
     with wp.ScopedCapture(device=device) as capture:
-        _repeat(work, IN_GRAPH)
+        _repeat(task, IN_GRAPH)
     return lambda: wp.capture_launch(capture.graph)
 
 
-def _repeat(work: Callable[[], None], count: int) -> None:
+def _repeat(task: Callable[[], None], count: int) -> None:
     for _ in range(count):
-        work()
+        task()
 
 
-def _median(works: Callable[[int], None], device: wp.Device) -> float:
-    """Returns the median time of ``works(count)`` per repetition [s]; ``count`` grows until the clock resolves it."""
-    works(1)
+def _median(repeat: Callable[[int], None], device: wp.Device) -> float:
+    """Returns the median time of ``repeat(count)`` per repetition [s]; ``count`` grows until the clock resolves it."""
+    repeat(1)
     times: list[float] = []
     count = 1
     while len(times) < ROUNDS and count * sum(times) < MIN_SAMPLE_SECONDS:
         wp.synchronize_device(device)
         start = time.perf_counter()
-        works(count)
+        repeat(count)
         wp.synchronize_device(device)
         elapsed = time.perf_counter() - start
         if elapsed < SECONDS and not times:

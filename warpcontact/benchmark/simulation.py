@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from warpcontact.benchmark.works import DAMPING, DT, FRICTION, SLIP_SPEED, STIFFNESS, Work
+from warpcontact.benchmark.scenes import DAMPING, DT, FRICTION, SLIP_SPEED, STIFFNESS, BenchmarkScene
 from warpcontact.kernels import friction, laws
 from warpcontact.kernels.shapes.sphere import Sphere
 from warpcontact.meshes import Mesh
@@ -15,11 +15,13 @@ from warpcontact.scene.scene import Scene
 from warpcontact.stepping.simulation import Simulation
 
 
-def simulation(work: Work, envs: int, device: str, precision: str = "float32", **options: Any) -> Simulation:
+def simulation(
+    scene: BenchmarkScene, envs: int, device: str, precision: str = "float32", **options: Any
+) -> Simulation:
     """Returns a simulation of a scene in its initial state.
 
     Args:
-        work: The scene.
+        scene: The scene.
         envs: Number of environments, each with its own initial position.
         device: As for ``Scene.build``.
         precision: As for ``Scene.build``.
@@ -31,18 +33,20 @@ def simulation(work: Work, envs: int, device: str, precision: str = "float32", *
         law=laws.KelvinVoigt(stiffness=STIFFNESS, damping=DAMPING),
         friction=friction.Tanh(mu=FRICTION, velocity_scale=SLIP_SPEED),
     )
-    scene = Scene()
-    ground = scene.add_surface(Mesh(work.surface.vertices, work.surface.faces), name="ground")
-    start = work.start(envs)
+    declared = Scene()
+    ground = declared.add_surface(Mesh(scene.surface.vertices, scene.surface.faces), name="ground")
+    start = scene.start(envs)
     if start.shape[1] > 1:
-        body = scene.add_bodies(start[0], work.mass, [work.inertia] * 3, name="body")
-        scene.add_particle_contact(scene.add_shape(body, Sphere(work.radius)), material, name="pile")
+        body = declared.add_bodies(start[0], scene.mass, [scene.inertia] * 3, name="body")
+        declared.add_particle_contact(declared.add_shape(body, Sphere(scene.radius)), material, name="pile")
     else:
-        body = scene.add_body(work.mass, [work.inertia] * 3, name="body")
+        body = declared.add_body(scene.mass, [scene.inertia] * 3, name="body")
         start = start[:, 0]
-    points = scene.add_point(body, (0, 0, 0)) if work.points is None else scene.add_points(body, work.points)
-    scene.add_contact(points, ground, material, radius=work.radius, name="touch", **options)
-    model = scene.build(envs=envs, device=device, precision=precision)
+    points = (
+        declared.add_point(body, (0, 0, 0)) if scene.points is None else declared.add_points(body, scene.points)
+    )
+    declared.add_contact(points, ground, material, radius=scene.radius, name="touch", **options)
+    model = declared.build(envs=envs, device=device, precision=precision)
     model["body.position"] = start
     return Simulation(model, dt=DT, **stepping)
 

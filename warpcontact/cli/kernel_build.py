@@ -85,15 +85,15 @@ def build_bench(device: str, envs: int | None, threads: int | None, progress: Pr
         ValueError: If the device does not exist.
     """
     from warpcontact.benchmark.limits import POSITION, load_query
-    from warpcontact.benchmark.short_form import default_envs
+    from warpcontact.benchmark.measurement import default_envs
+    from warpcontact.benchmark.scenes import SCENES
     from warpcontact.benchmark.simulation import simulation
-    from warpcontact.benchmark.works import WORKS
     from warpcontact.system.devices import find_device
 
     where = find_device(device)
     # ``bench`` also measures a single environment, for which a GPU uses other kernels.
     sizes = (1, default_envs(where) if envs is None else envs)[where.is_cpu :]
-    sims = [simulation(work, size, str(where)) for work in WORKS.values() for size in sizes]
+    sims = [simulation(scene, size, str(where)) for scene in SCENES.values() for size in sizes]
     kernels: list[wp.Kernel] = []
     for sim in sims:
         needs = [frozenset(sim.model.find_sensor(POSITION).needs)]

@@ -41,7 +41,7 @@ def check_packing(result):
 @pytest.mark.slow
 @pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="benchmarks are in a checkout")
 def test_spheres_settle_to_random_packing_density(device):
-    check_packing(load("benchmarks", "piles").settle(1200, device, most=14.0))
+    check_packing(load("benchmarks", "particles").settle(1200, device, most=14.0))
 
 
 @pytest.mark.slow
@@ -49,7 +49,7 @@ def test_spheres_settle_to_random_packing_density(device):
 def test_many_spheres_settle_to_random_packing_density(device):
     if device == "cpu":
         pytest.skip("takes an hour on a CPU; --device cuda:0")
-    check_packing(load("benchmarks", "piles").settle(100_000, device, most=60.0))
+    check_packing(load("benchmarks", "particles").settle(100_000, device, most=60.0))
 
 
 @pytest.mark.slow

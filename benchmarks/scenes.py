@@ -15,8 +15,8 @@ import numpy as np
 # Interpreters of other engines have no warpcontact installed. The imported module needs only NumPy.
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-from warpcontact.benchmark import works as of_one_body
-from warpcontact.benchmark.works import (
+from warpcontact.benchmark import scenes as one_body
+from warpcontact.benchmark.scenes import (
     DAMPING,
     DT,
     FRICTION,
@@ -42,7 +42,7 @@ def bowl(cells: tuple[int, int] = (32, 20), edge: float = 0.1, radius: float = 1
 
 
 @dataclass(frozen=True)
-class Work(of_one_body.Work):
+class BenchmarkScene(one_body.BenchmarkScene):
     """Benchmark scene.
 
     Attributes:
@@ -74,11 +74,11 @@ class Work(of_one_body.Work):
         return self.above(3 * HALF * (grid - grid.mean(axis=0)) + moved)
 
 
-def sanity(work: Work, positions: Array) -> dict[str, float]:
+def sanity(scene: BenchmarkScene, positions: Array) -> dict[str, float]:
     """Returns figures that show whether a run was physical.
 
     Args:
-        work: The benchmark scene.
+        scene: The benchmark scene.
         positions: Centers of the bodies at the end, ``(envs, bodies, 3)`` [m].
 
     Returns:
@@ -86,7 +86,7 @@ def sanity(work: Work, positions: Array) -> dict[str, float]:
         the surface or not finite.
     """
     finite = np.isfinite(positions).all(axis=-1)
-    height = positions[finite][:, 2] - work.surface.height(positions[finite])
+    height = positions[finite][:, 2] - scene.surface.height(positions[finite])
     return {
         "mean_height": float(np.mean(height)) if height.size else float("nan"),
         "highest_body": float(np.max(height)) if height.size else float("nan"),
@@ -95,5 +95,7 @@ def sanity(work: Work, positions: Array) -> dict[str, float]:
     }
 
 
-WORKS = {work.name: Work(work.name, work.surface, work.points) for work in of_one_body.WORKS.values()}
-WORKS["W3"] = Work("W3", bowl(), bodies=10)
+SCENES = {
+    scene.name: BenchmarkScene(scene.name, scene.surface, scene.points) for scene in one_body.SCENES.values()
+}
+SCENES["W3"] = BenchmarkScene("W3", bowl(), bodies=10)

@@ -12,15 +12,17 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 DT = 2e-3
+STEPS = 500
 GRAVITY = 9.81
 FRICTION = 0.4
 EDGE, HEIGHT, MASS = 0.5, 0.2, 20.0
 RADIUS = 0.01  # of a foot, a small sphere [m]
+SAMPLES = 20  # states of a run at which residuals are computed
 FASTEST = 1.5  # largest initial speed of a box along the ground [m/s]
 
 
 @dataclass(frozen=True)
-class Work:
+class NonsmoothScene:
     """Boxes with feet.
 
     Attributes:
@@ -39,7 +41,7 @@ class Work:
         return self.boxes * self.feet
 
     @property
-    def places(self) -> Array:
+    def feet_centers(self) -> Array:
         """Centers of the feet of a box in its frame, ``(feet, 3)`` [m]: on a grid below it."""
         across = int(np.sqrt(self.feet))
         while self.feet % across:
@@ -66,17 +68,17 @@ class Work:
         return np.stack([speed * np.cos(angle), speed * np.sin(angle), np.zeros(envs)], axis=1)
 
 
-WORKS = {
-    work.name: work
-    for work in (
-        Work("table4", 1, 4),
-        Work("table8", 1, 8),
-        Work("table16", 1, 16),
-        Work("table32", 1, 32),
-        Work("table64", 1, 64),
-        Work("stack8", 2, 4),
-        Work("stack16", 4, 4),
-        Work("stack32", 8, 4),
+SCENES = {
+    scene.name: scene
+    for scene in (
+        NonsmoothScene("table4", 1, 4),
+        NonsmoothScene("table8", 1, 8),
+        NonsmoothScene("table16", 1, 16),
+        NonsmoothScene("table32", 1, 32),
+        NonsmoothScene("table64", 1, 64),
+        NonsmoothScene("stack8", 2, 4),
+        NonsmoothScene("stack16", 4, 4),
+        NonsmoothScene("stack32", 8, 4),
     )
 }
 

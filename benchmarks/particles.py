@@ -1,6 +1,6 @@
 """Measures particle contact: ten spheres in each of many environments, and many spheres in one.
 
-    python benchmarks/piles.py --device cuda:0 --envs 4096 32768 131072 --spheres 1000 100000 --out piles.json
+    python benchmarks/particles.py --device cuda:0 --envs 4096 32768 131072 --spheres 1000 100000 --out particles.json
 
 W3 is ten spheres in a bowl per environment; its stages are timed at rest. Then spheres fall into a tube and
 settle. Reported are the time of a step, the time to rebuild all neighbor lists, and the packing fraction of the
@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 from result_file import write
+from scenes import DT, SCENES, STEPS
 from scipy.spatial import cKDTree
 from stages import stages
-from works import DT, STEPS, WORKS
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts
@@ -143,7 +143,7 @@ def rebuild(sim: wc.Simulation, spheres: int, device: str, count: int = 20) -> f
 
 def bowl(envs: int, device: str, repeats: int) -> dict[str, Any]:
     """Returns the rate of W3, and the time of its stages at rest."""
-    sim = simulation(WORKS["W3"], envs, device)
+    sim = simulation(SCENES["W3"], envs, device)
     sim.step(100)
     rates = []
     for _ in range(repeats):

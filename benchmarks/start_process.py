@@ -1,6 +1,6 @@
 """Measures one start-up time in a new interpreter and prints it as a line of JSON; see ``start.py``.
 
-python benchmarks/fresh.py first_step --device cpu
+python benchmarks/start_process.py first_step --device cpu
 """
 
 import argparse
@@ -87,14 +87,14 @@ def alone(options: argparse.Namespace) -> dict[str, float]:
     import warp as wp
 
     import warpcontact as wc
+    from warpcontact.benchmark.scenes import SCENES, STEPS
     from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
-    from warpcontact.benchmark.works import STEPS, WORKS
 
     wp.config.log_level = wp.LOG_ERROR
     warnings.simplefilter("ignore", wc.ContactWarning)
     experiment = wc.Experiment.from_toml(EXAMPLE)
     settings = experiment.settings
-    sims = {work.name: (simulation(work, 1, options.device), STEPS) for work in WORKS.values()}
+    sims = {scene.name: (simulation(scene, 1, options.device), STEPS) for scene in SCENES.values()}
     sims["terrain example"] = (
         wc.Simulation(experiment.model(1, options.device), settings.dt),
         round(settings.duration / settings.dt),

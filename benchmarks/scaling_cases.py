@@ -10,18 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 import warpcontact as wc
+from warpcontact.benchmark.scenes import HALF, Array, BenchmarkScene, box_points, terrain
 from warpcontact.benchmark.simulation import simulation
-from warpcontact.benchmark.works import HALF, Array, Work, box_points, terrain
 
 SERIES = ("environments", "points", "triangles", "threads")
-WORKS = {"W1": None, "W2p8": box_points(8), "W2p64": box_points(64)}
+SCENES = {"W1": None, "W2p8": box_points(8), "W2p64": box_points(64)}
 
 # Factor 4 from case to case. The total number of contacts is limited by memory.
 MOST_ENVS_ON_CPU, MOST_ENVS_ON_CUDA, MOST_CONTACTS = 4**7, 4**10, 2**24
 POINTS = (1, 8, 16, 32, 64, 128, 256, 512)
 # Cells along a side: 968 … 999 698 triangles, with a factor of 3 from case to case.
 CELLS = (22, 39, 71, 122, 224, 387, 707)
-TRIANGLE_WORKS = ("W1", "W2p8")
+TRIANGLE_SCENES = ("W1", "W2p8")
 # Environments per thread at the largest size: step times of the scenes are about equal.
 ENVS_OF_A_THREAD = {"W1": 4096, "W2p8": 2048, "W2p64": 512}
 
@@ -34,7 +34,7 @@ class Case:
         series: Name of the series.
         line: Benchmark scene, or another constant along a line of the plot.
         value: Value of the varied quantity.
-        work: Benchmark scene.
+        scene: Benchmark scene.
         envs: Number of environments.
         threads: Number of CPU threads.
     """
@@ -42,13 +42,13 @@ class Case:
     series: str
     line: str
     value: int
-    work: Work
+    scene: BenchmarkScene
     envs: int
     threads: int
 
     def simulation(self, device: str) -> wc.Simulation:
         """Returns the simulation in its initial state."""
-        return simulation(self.work, self.envs, device, threads=self.threads)
+        return simulation(self.scene, self.envs, device, threads=self.threads)
 
 
 @dataclass(frozen=True)
@@ -80,11 +80,11 @@ def cases(series: str, sizes: Sizes) -> list[Case]:
 
 
 def _environments(sizes: Sizes) -> Iterator[Case]:
-    for line, points in WORKS.items():
-        work = Work(line, terrain(), points)
+    for line, points in SCENES.items():
+        scene = BenchmarkScene(line, terrain(), points)
         envs = 1
         while envs <= sizes.most_envs and envs * (1 if points is None else len(points)) <= MOST_CONTACTS:
-            yield Case("environments", line, envs, work, envs, sizes.threads)
+            yield Case("environments", line, envs, scene, envs, sizes.threads)
             envs *= 4
 
 
@@ -92,8 +92,8 @@ def _points(sizes: Sizes) -> Iterator[Case]:
     envs = sizes.envs(512, 8192)
     for count in POINTS:
         if count <= sizes.most_points:
-            work = Work(f"{count} points", terrain(), None if count == 1 else spread_points(count))
-            yield Case("points", "sphere, then box", count, work, envs, sizes.threads)
+            scene = BenchmarkScene(f"{count} points", terrain(), None if count == 1 else spread_points(count))
+            yield Case("points", "sphere, then box", count, scene, envs, sizes.threads)
 
 
 def spread_points(count: int) -> Array:
@@ -110,9 +110,9 @@ def _triangles(sizes: Sizes) -> Iterator[Case]:
     for cells in CELLS:
         if 2 * cells**2 <= sizes.most_triangles:
             surface = terrain(cells=cells)
-            for line in TRIANGLE_WORKS:
-                work = Work(line, surface, WORKS[line])
-                yield Case("triangles", line, 2 * cells**2, work, envs, sizes.threads)
+            for line in TRIANGLE_SCENES:
+                scene = BenchmarkScene(line, surface, SCENES[line])
+                yield Case("triangles", line, 2 * cells**2, scene, envs, sizes.threads)
 
 
 def _threads(sizes: Sizes) -> Iterator[Case]:
@@ -121,11 +121,11 @@ def _threads(sizes: Sizes) -> Iterator[Case]:
     counts = [1]
     while 2 * counts[-1] <= sizes.threads:
         counts.append(2 * counts[-1])
-    for line, points in WORKS.items():
-        work = Work(line, terrain(), points)
+    for line, points in SCENES.items():
+        scene = BenchmarkScene(line, terrain(), points)
         envs = sizes.envs(ENVS_OF_A_THREAD[line] * sizes.threads, 0)
         for count in dict.fromkeys((*counts, sizes.threads)):
-            yield Case("threads", line, count, work, envs, count)
+            yield Case("threads", line, count, scene, envs, count)
 
 
 _OF: dict[str, Callable[[Sizes], Iterator[Case]]] = {

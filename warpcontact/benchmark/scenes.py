@@ -82,7 +82,7 @@ def box_points(count: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Work:
+class BenchmarkScene:
     """A scene of the benchmark.
 
     Attributes:
@@ -122,9 +122,9 @@ class Work:
         return np.concatenate((plane, z[..., None]), axis=-1)
 
 
-#: Scenes by their names in tables for users; the names of ``benchmarks/`` are in ``Work.name``.
-WORKS = {
-    "sphere": Work("W1", terrain()),
-    "box of 8 points": Work("W2p8", terrain(), box_points(8)),
-    "box of 64 points": Work("W2p64", terrain(), box_points(64)),
+#: Scenes by their names in tables for users; the names of ``benchmarks/`` are in ``BenchmarkScene.name``.
+SCENES = {
+    "sphere": BenchmarkScene("W1", terrain()),
+    "box of 8 points": BenchmarkScene("W2p8", terrain(), box_points(8)),
+    "box of 64 points": BenchmarkScene("W2p64", terrain(), box_points(64)),
 }

@@ -14,8 +14,8 @@ import warp as wp
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.report import BenchReport, WorkFigures
+from warpcontact.benchmark.scenes import DT, SCENES, STEPS, BenchmarkScene
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
-from warpcontact.benchmark.works import DT, STEPS, WORKS, Work
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.stepping.simulation import Simulation
 from warpcontact.system.devices import find_device
@@ -34,7 +34,7 @@ class _Entry:
     """A scene that is being measured; times in s."""
 
     title: str
-    work: Work
+    scene: BenchmarkScene
     sim: Simulation
     first_step: float
     times: list[float] = field(default_factory=list)
@@ -78,7 +78,7 @@ def bench(
     with (
         _without_step_warnings(),
         tqdm(
-            total=round(len(WORKS) * (seconds + ALONE_SECONDS), 1),
+            total=round(len(SCENES) * (seconds + ALONE_SECONDS), 1),
             unit="s",
             bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}",
             disable=None if progress is None else not progress,
@@ -86,9 +86,9 @@ def bench(
         ) as bar,
     ):
         entries = []
-        for title, work in WORKS.items():
+        for title, scene in SCENES.items():
             bar.set_description(f"{title}: building, compiling")
-            entries.append(_begin(title, work, envs, name, precision))
+            entries.append(_begin(title, scene, envs, name, precision))
         compiled = len(_cached_modules() - modules)
         for entry in _round_robin(entries, seconds):
             bar.set_description(entry.title)
@@ -130,15 +130,15 @@ def _cached_modules() -> set[str]:
     return set(os.listdir(folder)) if folder.is_dir() else set()
 
 
-def _begin(title: str, work: Work, envs: int, device: str, precision: str) -> _Entry:
+def _begin(title: str, scene: BenchmarkScene, envs: int, device: str, precision: str) -> _Entry:
     """Builds a scene, takes its first step, and then a run that is not counted."""
     start = time.perf_counter()
-    sim = simulation(work, envs, device, precision)
+    sim = simulation(scene, envs, device, precision)
     sim.step(1)
     wp.synchronize_device(device)
     elapsed = time.perf_counter() - start
     run_seconds(sim, STEPS)
-    return _Entry(title, work, sim, elapsed)
+    return _Entry(title, scene, sim, elapsed)
 
 
 def _round_robin(entries: list[_Entry], seconds: float) -> Iterator[_Entry]:
@@ -157,14 +157,14 @@ def _finish(entry: _Entry, device: str, precision: str) -> WorkFigures:
     """Completes the measurement of a scene: the bounds at its current state, and a single environment."""
     sim = entry.sim
     envs = sim.model.envs
-    least = limits(sim.model.parts[0], entry.work, sim.threads)
-    alone = simulation(entry.work, 1, device, precision)
+    least = limits(sim.model.parts[0], entry.scene, sim.threads)
+    alone = simulation(entry.scene, 1, device, precision)
     run_seconds(alone, STEPS)
     alone_s = seconds_of_runs(alone, STEPS, ALONE_SECONDS)
     rates = [envs * STEPS / elapsed for elapsed in entry.times]
     return WorkFigures(
         work=entry.title,
-        triangles=len(entry.work.surface.faces),
+        triangles=len(entry.scene.surface.faces),
         first_step_s=entry.first_step,
         env_steps_per_s=statistics.median(rates),
         lowest=min(rates),

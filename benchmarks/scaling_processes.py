@@ -11,7 +11,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-from series import Case
+from scaling_cases import Case
 
 
 class Processes:

@@ -1,0 +1,47 @@
+"""Comparisons of engines: their scenes, their engines, and the defaults of a run. Needs NumPy only."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import nonsmooth_scenes
+import scenes
+from engines import ENGINES, NONSMOOTH_ENGINES, Engine
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A set of scenes that a set of engines runs.
+
+    Attributes:
+        scenes: Benchmark scenes by name.
+        engines: Engines by name.
+        run: Class of a run in the modules of the engines.
+        steps: Number of steps of a run.
+        default_scenes: Scenes that are run by default.
+        envs_on_cpu: Numbers of environments on a CPU.
+        envs_on_cuda: Numbers of environments on a GPU.
+    """
+
+    scenes: dict[str, Any]
+    engines: dict[str, Engine]
+    run: str
+    steps: int
+    default_scenes: list[str]
+    envs_on_cpu: list[int]
+    envs_on_cuda: list[int]
+
+
+COMPARISONS = {
+    "compliant": Comparison(
+        scenes.SCENES, ENGINES, "Run", scenes.STEPS, list(scenes.SCENES), [1024], [8192, 32768, 131072]
+    ),
+    "nonsmooth": Comparison(
+        nonsmooth_scenes.SCENES, NONSMOOTH_ENGINES, "NonsmoothRun", nonsmooth_scenes.STEPS, ["table8", "stack8"],
+        [4096], [4096, 131072],
+    ),
+}  # fmt: skip
+
+
+def comparison_of(scene: str) -> Comparison:
+    """Returns the comparison that contains a scene."""
+    return next(comparison for comparison in COMPARISONS.values() if scene in comparison.scenes)

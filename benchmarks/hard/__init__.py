@@ -1,1 +1,0 @@
-"""Benchmark scenes of nonsmooth contact, and their runs with this engine and with MuJoCo."""
