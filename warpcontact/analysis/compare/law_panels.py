@@ -51,13 +51,13 @@ def label_forces(axes: Any, cases: xr.Dataset, scales: Scales, title: str) -> No
 def draw_restitution(axes: Any, law: xr.Dataset, marked: Sequence[float], colors: Any) -> None:
     """Draws effective restitution of one law over the varied parameter, with dots at the ``marked`` restitutions."""
     varied, unit = law["varied"].item(), law["unit"].item()
-    over = law["restitution"] if varied == "restitution" else law["parameter"]
+    over = law["parameter"] if varied not in ("", "restitution") else law["restitution"]
     axes.plot(over, law["effective_restitution"], color="0.4", zorder=1)
     points = law.sel(restitution=list(marked))
-    x_values = points["restitution"] if varied == "restitution" else points["parameter"]
+    x_values = points[str(over.name)]
     axes.scatter(x_values, points["effective_restitution"], c=colors, s=45, edgecolors="black", lw=0.6, zorder=3)
     axes.set_ylim(0.0, 1.04)
-    if varied == "restitution":
+    if over.name == "restitution":
         axes.plot([0.0, 1.0], [0.0, 1.0], color="0.5", linestyle=":", zorder=0)
         axes.set_xlim(0.0, 1.04)
         title, x = "effective restitution (dotted: prescribed)", "prescribed restitution [-]"

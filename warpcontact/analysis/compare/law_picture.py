@@ -63,9 +63,7 @@ def plot_laws(
         over_speed = rebounds(given, below if len(below) else drawn, **options)
         heading = figures.heading(_titles(data)[0], kind.formula)
         footer = [note, data["settings"].item(), f"valid: {kind.validity}" if kind.validity else ""]
-        figure = (_one if data["varied"].item() else _unvaried)(
-            heading, footer, data.isel(law=0), drawn, over_speed
-        )
+        figure = _one(heading, footer, data.isel(law=0), drawn, over_speed)
     else:
         figure = _several(note, data, drawn, rebounds(given, drawn[(len(drawn) - 1) // 2], **options))
     if file is not None:
@@ -74,8 +72,8 @@ def plot_laws(
 
 
 def _one(heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset) -> Figure:
-    """Plots one law with its loops for the restitutions ``drawn``."""
-    cases = law.sel(restitution=drawn)
+    """Plots one law with its loops for the restitutions ``drawn``, or the only loop if it does not depend on them."""
+    cases = law.sel(restitution=drawn if law["varied"].item() else drawn[-1:])
     sheet = figures.sheet(12.0, 9.5, heading, footer)
     (figure,) = figures.parts(sheet, 1.0)
     panels = figure.subplots(2, 2)
@@ -86,30 +84,13 @@ def _one(heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, ove
         law_panels.draw_force(panels[0, 1], case, scales, color=shade)
     law_panels.label_loops(panels[0, 0], scales, "force over penetration")
     law_panels.label_forces(panels[0, 1], cases, scales, "force over time")
-    law_panels.draw_restitution(panels[1, 0], law, drawn, colors)
+    law_panels.draw_restitution(panels[1, 0], law, cases["restitution"].values, colors)
     for shade, prescribed in zip(colors, over_speed["restitution"].values, strict=False):
         values = over_speed["effective_restitution"].isel(law=0).sel(restitution=prescribed)
         law_panels.draw_over_speed(panels[1, 1], values, color=shade)
     law_panels.label_over_speed(panels[1, 1], "restitution over impact speed")
     figures.legend_below(figure, colors, [_case_name(cases.isel(restitution=k)) for k in range(len(colors))])
     return sheet
-
-
-def _unvaried(
-    heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset
-) -> Figure:
-    """Plots one law that does not depend on the prescribed restitution: elastic, or with a given restitution."""
-    case = law.sel(restitution=drawn[-1])
-    figure = figures.sheet(15.0, 5.6, heading, footer)
-    panels = figure.subplots(1, 3)
-    scales, color = Scales(case), figures.color(0)
-    law_panels.draw_loop(panels[0], case, scales, color=color)
-    law_panels.draw_force(panels[1], case, scales, color=color)
-    law_panels.draw_over_speed(panels[2], over_speed["effective_restitution"][0, 0], color=color)
-    law_panels.label_loops(panels[0], scales, "force over penetration, " + _effective(case))
-    law_panels.label_forces(panels[1], case, scales, "force over time")
-    law_panels.label_over_speed(panels[2], f"restitution over impact speed, {_effective(case)} at {_speed(law)}")
-    return figure
 
 
 def _several(note: str, data: xr.Dataset, drawn: Any, over_speed: xr.Dataset) -> Figure:
@@ -163,6 +144,8 @@ def _case_name(case: xr.Dataset) -> str:
     """Returns the legend entry of a loop: its restitution, and the damping used."""
     if case["varied"].item() == "restitution":
         return f"e = {case['restitution'].item():g}"
+    if not case["varied"].item():
+        return _effective(case)
     value = number(case["parameter"].item(), case["unit"].item())
     return f"{_effective(case)}: {case['varied'].item()} {value}"
 
