@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from warpcontact import meshes, unilateral
     from warpcontact.analysis import compare, convergence, quantile_fan, sensitivity, write_fan
     from warpcontact.benchmark import BenchReport, bench
+    from warpcontact.building.model import Model, SplitModel
+    from warpcontact.building.scene import Scene
     from warpcontact.experiment import Experiment, ExperimentError, Run, RunDataError, open_run
     from warpcontact.files.regular_files import UnsafeFileError
     from warpcontact.kernels import friction, laws
@@ -30,14 +32,11 @@ if TYPE_CHECKING:
     from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model.health import Health
-    from warpcontact.model.model import Model
     from warpcontact.model.quarantine import QuarantineError
-    from warpcontact.model.split_model import SplitModel
     from warpcontact.scene.contact_coupling import ContactCoupling
     from warpcontact.scene.contact_range import ContactRange
     from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
     from warpcontact.scene.elements import Body, Contact, ContactMaterial, Points, Surface
-    from warpcontact.scene.scene import Scene
     from warpcontact.scene.shapes import Shape, ShapeContact
     from warpcontact.scene.status import (
         CatenaryStatus,
@@ -98,7 +97,7 @@ _HOME = {
     "Mesh": "warpcontact.meshes",
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
-    "Model": "warpcontact.model.model",
+    "Model": "warpcontact.building.model",
     "Motion": "warpcontact.kernels.joints.base",
     "Outcome": "warpcontact.kernels.outcomes.base",
     "ParametricSurface": "warpcontact.kernels.shapes.parametric_surface",
@@ -107,11 +106,11 @@ _HOME = {
     "Recording": "warpcontact.stepping.recording",
     "Run": "warpcontact.experiment",
     "RunWarning": "warpcontact.validation.warning_levels",
-    "Scene": "warpcontact.scene.scene",
+    "Scene": "warpcontact.building.scene",
     "Shape": "warpcontact.scene.shapes",
     "Simulation": "warpcontact.stepping.simulation",
     "ShapeContact": "warpcontact.scene.shapes",
-    "SplitModel": "warpcontact.model.split_model",
+    "SplitModel": "warpcontact.building.model",
     "Spring": "warpcontact.kernels.couplings.springs.base",
     "SpringDamper": "warpcontact.scene.couplings",
     "UsdError": "warpcontact.usd.importing.errors",

@@ -16,10 +16,10 @@ from memory_scenes import MIB, set_available_memory
 from test_experiment import EXAMPLE, content
 
 import warpcontact as wc
+from warpcontact.building.plan import ModelPlan
 from warpcontact.experiment import plan, shards, store
 from warpcontact.experiment.plan import shard_size
 from warpcontact.experiment.shards import ShardRunner
-from warpcontact.model.plan import ModelPlan
 from warpcontact.stepping.frame_buffers import Frame
 from warpcontact.stepping.recorder import RecordingSize
 from warpcontact.storage.memory_estimate import MemoryItem

@@ -6,7 +6,7 @@ from memory_scenes import MIB, ball_scene, set_available_memory
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.model.build import plan_model
+from warpcontact.building.plan import plan_model
 from warpcontact.storage import memory_estimate
 from warpcontact.system import resources
 

@@ -12,8 +12,8 @@ from memory_scenes import MIB, SCENES, array_bytes, ball_scene, mixed_scene, set
 from scenes import dropped_sphere
 
 import warpcontact as wc
+from warpcontact.building.plan import plan_model
 from warpcontact.cli import main
-from warpcontact.model.build import plan_model
 from warpcontact.storage import memory_estimate as footprint
 from warpcontact.system import resources
 from warpcontact.system.resources import HOST

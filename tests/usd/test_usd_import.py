@@ -414,6 +414,6 @@ def test_usd_reader_process_does_not_import_warp():
         "    sys.modules[name] = types.ModuleType(name)\n"
         "    sys.modules[name].__path__ = [folder]\n"
         "import warpcontact.usd.importing.stage, warpcontact.usd.importing.packing\n"
-        "assert 'warp' not in sys.modules and 'warpcontact.scene.scene' not in sys.modules\n"
+        "assert 'warp' not in sys.modules and 'warpcontact.scene.scene_data' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)

@@ -11,7 +11,7 @@ import warp as wp
 
 from warpcontact.benchmark.scenes import Array, BenchmarkScene
 from warpcontact.kernels.narrowphase.bare_query import kernel
-from warpcontact.model.model import Model
+from warpcontact.model.model import DeviceModel
 from warpcontact.system.compilation import compile_as_launched
 
 #: Largest number of measurements, each of at least ``SECONDS``, of which the median is used; fewer if they take long.
@@ -43,7 +43,7 @@ def load_query(device: wp.Device) -> wp.Kernel:
     return bare_query
 
 
-def limits(model: Model, scene: BenchmarkScene, threads: int) -> Limits:
+def limits(model: DeviceModel, scene: BenchmarkScene, threads: int) -> Limits:
     """Measures the bounds for a scene at the current state of its model.
 
     Args:
@@ -79,7 +79,7 @@ def limits(model: Model, scene: BenchmarkScene, threads: int) -> Limits:
     return Limits(query, copy)
 
 
-def query_points(model: Model, scene: BenchmarkScene) -> Array:
+def query_points(model: DeviceModel, scene: BenchmarkScene) -> Array:
     """Returns the positions of the points, (envs, points, 3), world frame [m]."""
     position = model.sensor(POSITION)[:, None]
     if scene.points is None:
@@ -90,7 +90,7 @@ def query_points(model: Model, scene: BenchmarkScene) -> Array:
     return position + scene.points + w * turned + np.cross(axis, turned)
 
 
-def _state_bytes(model: Model) -> int:
+def _state_bytes(model: DeviceModel) -> int:
     """Returns the size of the state of an environment [bytes]."""
     state = model.arrays.state
     return sum(getattr(state, name).capacity for name in state._cls.vars) // model.envs

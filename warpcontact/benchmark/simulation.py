@@ -7,11 +7,11 @@ from typing import Any
 import warp as wp
 
 from warpcontact.benchmark.scenes import DAMPING, DT, FRICTION, SLIP_SPEED, STIFFNESS, BenchmarkScene
+from warpcontact.building.scene import Scene
 from warpcontact.kernels import friction, laws
 from warpcontact.kernels.shapes.sphere import Sphere
 from warpcontact.meshes import Mesh
 from warpcontact.scene.elements import ContactMaterial
-from warpcontact.scene.scene import Scene
 from warpcontact.stepping.simulation import Simulation
 
 

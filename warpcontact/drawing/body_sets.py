@@ -7,7 +7,8 @@ import numpy as np
 
 from warpcontact.algebra.poses import transform_points
 from warpcontact.drawing.spheres import Spheres
-from warpcontact.scene.scene import Body, Scene
+from warpcontact.scene.elements import Body
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.validation.checks import Array
 
 #: Name used for the centers of mass of a set without contacts.
@@ -39,7 +40,7 @@ class BodySet:
 
 
 def body_sets_of(
-    scene: Scene, spheres: Sequence[Spheres], poses: Mapping[str, tuple[Array, Array]]
+    scene: SceneData, spheres: Sequence[Spheres], poses: Mapping[str, tuple[Array, Array]]
 ) -> list[BodySet]:
     """Returns the spheres and points on all sets of bodies.
 

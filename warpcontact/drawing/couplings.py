@@ -9,8 +9,12 @@ from warpcontact.algebra.poses import transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.drawing.spheres import WORLD_COLOR
 from warpcontact.kernels.types import COUPLING_BROKEN
+from warpcontact.model.build import plan_on_devices
+from warpcontact.model.model import DeviceModel
 from warpcontact.scene.couplings import Catenary, Coupling, SpringDamper
-from warpcontact.scene.scene import Points, Scene
+from warpcontact.scene.elements import Points
+from warpcontact.scene.scene_data import SceneData
+from warpcontact.storage.memory_estimate import require
 from warpcontact.validation.checks import Array
 
 # Coil: number of turns, points per turn, coiled fraction of the length, and radius as a fraction of the largest length.
@@ -117,7 +121,7 @@ def catenary_points(replay: Replay, line: Catenary, start: Array, end: Array) ->
         start: Position of its first end, (time, env, 3), world [m].
         end: Position of its second end, (time, env, 3), world [m].
     """
-    scene = Scene()
+    scene = SceneData()
     marks = [scene.add_body(1.0, (1.0, 1.0, 1.0), name=name) for name in ("a", "b")]
     ends = [scene.add_point(mark, (0.0, 0.0, 0.0)) for mark in marks]
     floor = None if line.floor is None else float(line.floor)
@@ -130,7 +134,10 @@ def catenary_points(replay: Replay, line: Catenary, start: Array, end: Array) ->
         name="line",
     )
     # One environment per record and environment of the replay.
-    model = scene.build(start.shape[0] * start.shape[1], "cpu", "float64")
+    (plan,) = plan_on_devices(scene, "cpu", "float64")
+    envs = start.shape[0] * start.shape[1]
+    require(plan.memory_estimate, envs, "to draw a catenary, ")
+    model = DeviceModel(plan, envs)
     gravity = _over_time(replay, "scene.gravity", replay.scene.gravity)
     values = {"a.position": start, "b.position": end, "scene.gravity": gravity}
     for key in ("length", "mass_per_length", "axial_stiffness", *(() if floor is None else ("floor",))):

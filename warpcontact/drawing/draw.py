@@ -17,7 +17,8 @@ from warpcontact.drawing.surfaces import INACTIVE, Placement, surface_color
 from warpcontact.drawing.triangles import analytic_shape, ball
 from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.plane import Plane
-from warpcontact.scene.scene import Body, Scene
+from warpcontact.scene.elements import Body
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.validation.checks import Array
 
 # Shapes that are scaled from a unit sphere.
@@ -30,7 +31,7 @@ _UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def drawing_of(
-    recording: xr.Dataset, scene: Scene | None = None, envs: int | Iterable[int] | None = None
+    recording: xr.Dataset, scene: SceneData | None = None, envs: int | Iterable[int] | None = None
 ) -> Drawing:
     """Returns the drawing of some environments of a recording, without invisible elements.
 

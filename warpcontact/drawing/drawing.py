@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.validation.checks import Array
 
 
@@ -115,7 +115,7 @@ class Drawing:
 
     @classmethod
     def of(
-        cls, recording: xr.Dataset, scene: Scene | None = None, envs: int | Iterable[int] | None = None
+        cls, recording: xr.Dataset, scene: SceneData | None = None, envs: int | Iterable[int] | None = None
     ) -> "Drawing":
         """Returns the drawing of some environments of a recording; arguments and errors as for ``drawing_of``."""
         from warpcontact.drawing.draw import drawing_of

@@ -12,7 +12,8 @@ from warpcontact.drawing.replay import Replay
 from warpcontact.drawing.shapes import ShapePlacement
 from warpcontact.drawing.spheres import Spheres, find_spheres
 from warpcontact.drawing.surfaces import Placement
-from warpcontact.scene.scene import Body, Scene
+from warpcontact.scene.elements import Body
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.validation.checks import Array
 
 # Limits for ``"auto"``: number of poses over all bodies and records, and number of distinct appearances of a body.
@@ -65,7 +66,9 @@ class Ensemble:
         self._good = np.ones(len(replay.envs), dtype=bool)
 
     @classmethod
-    def of(cls, recording: xr.Dataset, scene: Scene, chosen: Iterable[int], ensemble: Any) -> "Ensemble | None":
+    def of(
+        cls, recording: xr.Dataset, scene: SceneData, chosen: Iterable[int], ensemble: Any
+    ) -> "Ensemble | None":
         """Returns the environments that an export shows, or ``None``; ``ensemble`` as for ``export_usd``."""
         labels = recording["env"].values
         if ensemble is False or (ensemble == "auto" and set(labels.tolist()) <= set(chosen)):

@@ -8,8 +8,8 @@ import numpy as np
 from warpcontact.algebra.poses import transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.drawing.shapes import ShapePlacement
+from warpcontact.scene.elements import Contact
 from warpcontact.scene.particles import ParticleContact
-from warpcontact.scene.scene import Contact
 from warpcontact.scene.shapes import ShapeContact
 from warpcontact.validation.checks import Array
 

@@ -9,7 +9,7 @@ from warpcontact.drawing.content import Content
 from warpcontact.drawing.couplings import Coil
 from warpcontact.drawing.forces import LONGEST, ForceLines
 from warpcontact.drawing.spheres import body_size
-from warpcontact.scene.scene import Body
+from warpcontact.scene.elements import Body
 from warpcontact.validation.checks import Array
 
 

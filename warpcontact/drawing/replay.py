@@ -9,7 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.algebra.poses import transform_points
-from warpcontact.scene.scene import Body, Contact, Points, Scene, Surface
+from warpcontact.scene.elements import Body, Contact, Points, Surface
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.stepping.recorder import UNCHANGED
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
@@ -32,7 +33,7 @@ class Replay:
         rate: Time codes per second.
     """
 
-    scene: Scene
+    scene: SceneData
     data: xr.Dataset
     envs: list[int]
     times: Array
@@ -40,7 +41,7 @@ class Replay:
     rate: float
 
     @classmethod
-    def of(cls, recording: xr.Dataset, scene: Scene | None, envs: int | Iterable[int] | None) -> "Replay":
+    def of(cls, recording: xr.Dataset, scene: SceneData | None, envs: int | Iterable[int] | None) -> "Replay":
         """Selects environments of a recording; arguments and errors as for ``export_usd``.
 
         If the recording is in a file, variables are read on first use; ``part`` reads all variables of some records.
@@ -52,7 +53,7 @@ class Replay:
             scene = getattr(recording, "scene", None)
             if scene is None:
                 raise ValueError("the recording has no scene (xarray operations drop it): pass scene=")
-        if not isinstance(scene, Scene):
+        if not isinstance(scene, SceneData):
             raise TypeError(f"scene must be a wc.Scene, got {scene!r}")
         needed = [f"{body.name}.{key}" for body in scene.bodies for key in ("position", "orientation")]
         missing = [name for name in needed if name not in recording]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.drawing.replay import Replay
-from warpcontact.scene.scene import Body, Contact
+from warpcontact.scene.elements import Body, Contact
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:

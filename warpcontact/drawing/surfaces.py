@@ -7,7 +7,7 @@ import numpy as np
 from warpcontact.algebra.poses import transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.drawing.spheres import body_color
-from warpcontact.scene.scene import Surface
+from warpcontact.scene.elements import Surface
 from warpcontact.validation.checks import Array
 
 # Brightness of inactive faces.

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact import meshes
+from warpcontact.building.scene import Scene
 from warpcontact.experiment.catalogue import DeviceModelSettings, FileMesh, Section, ShapeMesh
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.parser import ExperimentParts
@@ -29,7 +30,7 @@ from warpcontact.experiment.schema import (
 )
 from warpcontact.geometry.query_mesh import QueryMeshCache
 from warpcontact.meshes import Mesh, MeshError
-from warpcontact.scene.scene import ContactMaterial, Scene
+from warpcontact.scene.elements import ContactMaterial
 from warpcontact.scene.surface_contact import sample_points
 
 # Kinds of references, with the sections that can contain the target.

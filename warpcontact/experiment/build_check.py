@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from warpcontact import meshes
+from warpcontact.building.plan import plan_model
+from warpcontact.building.scene import Scene
 from warpcontact.experiment.assemble import FileCache, SceneBuilder
 from warpcontact.experiment.catalogue import DeviceModelSettings, user_class
 from warpcontact.experiment.errors import Problems
@@ -20,9 +22,8 @@ from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.couplings import springs
 from warpcontact.kernels.joints import Motion
 from warpcontact.kernels.shapes import shapes
-from warpcontact.model.build import plan_model
 from warpcontact.model.environments import Environments
-from warpcontact.scene.scene import ContactMaterial, Scene
+from warpcontact.scene.elements import ContactMaterial
 
 
 def check_build(

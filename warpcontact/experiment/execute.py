@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 
 from warpcontact._version import __version__
+from warpcontact.building.scene import Scene
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment import store, trust
 from warpcontact.experiment.design import Design
@@ -38,7 +39,6 @@ from warpcontact.experiment.warning_log import WarningLog
 from warpcontact.files.run_folder import RunPath
 from warpcontact.model.environments import Environments
 from warpcontact.model.quarantine import QuarantineError
-from warpcontact.scene.scene import Scene
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.number_format import format_bytes
 from warpcontact.validation.warning_levels import RunWarning, WarningLevel

@@ -7,6 +7,9 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpcontact.building.model import Model, SplitModel
+from warpcontact.building.plan import ModelPlan, plan_model
+from warpcontact.building.scene import Scene
 from warpcontact.experiment.assemble import FileCache, SceneBuilder
 from warpcontact.experiment.build_check import check_build
 from warpcontact.experiment.catalogue import FileMesh
@@ -25,12 +28,7 @@ from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.forces.nonsmooth.contacts import is_nonsmooth_sensor, sensor_hint
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import stored_name
-from warpcontact.model.build import plan_model
 from warpcontact.model.environments import Environments
-from warpcontact.model.model import Model
-from warpcontact.model.plan import ModelPlan
-from warpcontact.model.split_model import SplitModel
-from warpcontact.scene.scene import Scene
 from warpcontact.stepping.integrators.base import formulas_of
 from warpcontact.stepping.simulation import Simulation
 from warpcontact.stepping.step_counts import whole_steps

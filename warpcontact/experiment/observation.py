@@ -23,7 +23,7 @@ from warpcontact.kernels.catalogue.names import stored_name, suggestion
 from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
 from warpcontact.kernels.outcomes.source import EACH, ITEM_REDUCTIONS
 from warpcontact.model.environments import Environments
-from warpcontact.scene.scene import MAX_DISTANCE, MAX_SPEED
+from warpcontact.scene.scene_data import MAX_DISTANCE, MAX_SPEED
 from warpcontact.stepping import outcomes
 from warpcontact.stepping.integrators import Integrator
 from warpcontact.stepping.outcomes.observer import sources_of

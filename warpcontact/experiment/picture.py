@@ -33,7 +33,8 @@ from warpcontact.experiment.sensor_panels import CURVES, draw_panel, make_panels
 from warpcontact.files.picture_file import save
 from warpcontact.files.run_folder import RunPath
 from warpcontact.model.health import Health
-from warpcontact.scene.scene import Body, Scene
+from warpcontact.scene.elements import Body
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.stepping.recording import Recording
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import single_line, truncate
@@ -226,7 +227,7 @@ def _coupling_shapes(recording: Recording) -> list[NDArray[Any]]:
 
 
 def _window(
-    scene: Scene,
+    scene: SceneData,
     grounds: list[GroundSurface],
     shapes: list[NDArray[Any]],
     lower: NDArray[Any],

@@ -8,13 +8,14 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from warpcontact.building.plan import ModelPlan
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.disk import Disk
 from warpcontact.experiment.observation import monitor_arguments
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHUNK, WRITERS
 from warpcontact.model.environments import Environments
-from warpcontact.model.plan import DeviceModelPlan, ModelPlan
+from warpcontact.model.plan import DeviceModelPlan
 from warpcontact.stepping.recorder import Recorder, RecordingSize
 from warpcontact.stepping.step_counts import frame_count, recorded_steps
 from warpcontact.storage.memory_estimate import (

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, SupportsInt, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.building.scene import Scene
 from warpcontact.drawing.equal_items import merged_items
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import FileCache, SceneBuilder
@@ -36,7 +37,6 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords, explain_key
 from warpcontact.model.flags import words_of
 from warpcontact.model.health import Health
 from warpcontact.scene.contact_coupling_report import CouplingReport, report_of
-from warpcontact.scene.scene import Scene
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import escape_lines
 

@@ -3,10 +3,10 @@
 import time
 from dataclasses import dataclass
 
+from warpcontact.building.plan import ModelPlan
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.shards import make_simulation
-from warpcontact.model.plan import ModelPlan
 from warpcontact.stepping.simulation import MIN_CHUNK
 from warpcontact.stepping.step_counts import recorded_steps
 

@@ -16,7 +16,7 @@ from warpcontact.kernels.contact import contact_force
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.types import structs
-from warpcontact.scene.scene import Contact
+from warpcontact.scene.elements import Contact
 from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
 from warpcontact.storage.parameters import Field, Parameters, pack
 from warpcontact.system.compilation import load

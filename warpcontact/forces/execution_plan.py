@@ -43,7 +43,7 @@ from warpcontact.system.compilation import disable_fma
 if TYPE_CHECKING:
     from warpcontact.forces.contact_groups import ContactGroup
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
 
 
 # Whether stages are fused into one kernel if results stay bitwise identical. Separate kernels compile faster.
@@ -80,7 +80,7 @@ class ExecutionPlan:
             number of steps of a multi-step launch. ``None``: all environments.
     """
 
-    model: "Model"
+    model: "DeviceModel"
     count: int
     uses_cache: bool
     ordered_sum: bool

@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels.types import WORLD
-from warpcontact.scene.scene import Contact
+from warpcontact.scene.elements import Contact
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.parameters import Parameters
 from warpcontact.validation.checks import Array

@@ -12,9 +12,8 @@ from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.model.environments import Environments
-    from warpcontact.model.model import Model
-    from warpcontact.scene.elements import Body, Surface
-    from warpcontact.scene.scene import Contact
+    from warpcontact.model.model import DeviceModel
+    from warpcontact.scene.elements import Body, Contact, Surface
 
 # Relative to the sum of all coordinates in the chain of transforms; above their rounding error in float32.
 ROUNDING = 1.0e-5
@@ -33,7 +32,7 @@ def starts_clear(model: "Environments", contact: "Contact", envs: int) -> bool:
     )
 
 
-def _starts_clear_on(part: "Model", contact: "Contact", envs: int) -> bool:
+def _starts_clear_on(part: "DeviceModel", contact: "Contact", envs: int) -> bool:
     points, surface = contact.points, contact.surface
 
     # All arrays have shape (1 or envs, items, …).
@@ -73,7 +72,7 @@ def _max_coordinate(places: Array) -> Array:
     return np.asarray(np.abs(places).max(axis=-1))
 
 
-def _pose(part: "Model", body: "Body", envs: int) -> list[Array]:
+def _pose(part: "DeviceModel", body: "Body", envs: int) -> list[Array]:
     """Returns the current positions and orientations of a body or set of bodies, (envs, n, …)."""
     whole = part.state.body_position, part.state.body_orientation
     return [array[:envs, body.items].numpy().astype(np.float64) for array in whole]

@@ -22,7 +22,7 @@ from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BOUNDARY, FEATURE_
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.examine import SLIVER_LIMIT
 from warpcontact.meshes.topology import angles, area_vectors, directions, slenderness
-from warpcontact.scene.scene import Contact
+from warpcontact.scene.elements import Contact
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.validation.checks import Array
 

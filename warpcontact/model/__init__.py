@@ -1,1 +1,1 @@
-"""From a scene to a model: plan, build, parameters, sensors and memory."""
+"""From the data of a scene to a model on a device: plan, parameters, sensors and health."""

@@ -1,7 +1,7 @@
-"""Builds models from scenes: ``Scene`` → ``ModelPlan`` → ``Model``, or one model per device.
+"""Plans models of scenes: ``SceneData`` → ``DeviceModelPlan``, one per device.
 
-``plan_model`` declares the arrays and parameters of bodies, points, surfaces and contacts without allocating them;
-``ModelPlan.build`` allocates them. Both are used by ``Scene.build`` and by memory estimates.
+``plan_on_devices`` declares the arrays and parameters of bodies, points, surfaces and contacts without allocating
+them. ``DeviceModel`` allocates them.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,13 +25,12 @@ from warpcontact.geometry.face_grid import make_grids
 from warpcontact.geometry.query_mesh import QueryMeshCache, QueryMeshes, make_query_meshes, upload_query_meshes
 from warpcontact.kernels import types
 from warpcontact.model.core_arrays import declare_arrays
-from warpcontact.model.model import Model
-from warpcontact.model.plan import DeviceModelPlan, ModelPlan
+from warpcontact.model.plan import DeviceModelPlan
 from warpcontact.model.quarantine import add_guard
 from warpcontact.model.sensors import sensors_of
-from warpcontact.model.split_model import SplitModel
 from warpcontact.scene import elements as limits_of
-from warpcontact.scene.scene import Body, Contact, Scene
+from warpcontact.scene.elements import Body, Contact
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack, split
@@ -45,38 +44,20 @@ if TYPE_CHECKING:
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 
-def build(
-    scene: Scene, envs: int = 1, device: str | Sequence[str] = "auto", precision: str = "float32"
-) -> Model | SplitModel:
-    """Builds ``envs`` environments of ``scene``.
-
-    Args:
-        scene: The scene. It is copied; later changes do not affect the model.
-        envs: Number of environments, at least 1.
-        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if available, else the CPU; ``"cuda"``: all visible
-            GPUs; or a list such as ``["cuda:0", "cuda:2"]``. With several devices, the environments are split in
-            order and as evenly as possible. A device may be listed more than once, ``["cpu", "cpu"]``.
-        precision: ``"float32"`` or ``"float64"``.
-
-    Returns:
-        The model; a ``SplitModel`` if it is on several devices.
-
-    Raises:
-        ValueError: If an argument is out of range or the scene has no body.
-        TypeError: If a user-defined law, friction model, shape, spring or motion does not compile.
-        MemoryError: If the environments do not fit into the memory of a device or the host. The message states the
-            number that fits. Nothing is allocated then.
-    """
-    return plan_model(scene, device, precision).build(checks.integer("envs", envs))
-
-
-def plan_model(
-    scene: Scene,
+def plan_on_devices(
+    scene: SceneData,
     device: str | Sequence[str] = "auto",
     precision: str = "float32",
     mesh_cache: QueryMeshCache | None = None,
-) -> ModelPlan:
-    """Plans a model of ``scene``; arguments and errors are those of ``build`` and ``make_query_meshes``."""
+) -> tuple[DeviceModelPlan, ...]:
+    """Plans the models of ``scene`` on each device; arguments and errors as for ``Scene.build``.
+
+    Args:
+        scene: The scene.
+        device: Device or devices.
+        precision: ``"float32"`` or ``"float64"``.
+        mesh_cache: Query meshes of earlier plans, see ``make_query_meshes``.
+    """
     checks.choice("precision", precision, tuple(PRECISIONS))
     if not scene.bodies:
         raise ValueError("the scene has no body; add_body adds one")
@@ -88,7 +69,7 @@ def plan_model(
     common = _SharedTables(
         scene.snapshot(), precision, groups, contacts, clusters, make_query_meshes(contacts, mesh_cache)
     )
-    return ModelPlan(tuple(_plan_on_device(target, common) for target in devices))
+    return tuple(_plan_on_device(target, common) for target in devices)
 
 
 @dataclass(frozen=True)
@@ -104,7 +85,7 @@ class _SharedTables:
         query_meshes: Query meshes of the contacts.
     """
 
-    scene: Scene
+    scene: SceneData
     precision: str
     groups: list[list[Contact]]
     contacts: list[Contact]
@@ -179,7 +160,7 @@ def _plan_on_device(target: wp.Device, common: _SharedTables) -> DeviceModelPlan
     )
 
 
-def _add_bodies(scene: Scene, arrays: ModelArrays, parameters: Parameters, t: types.Structs) -> None:
+def _add_bodies(scene: SceneData, arrays: ModelArrays, parameters: Parameters, t: types.Structs) -> None:
     bodies, model = scene.bodies, arrays.model
     mass = Field(np.concatenate([body.rows("mass") for body in bodies]))
     device_mass = parameters.device_field(model, "body_mass", t.real, lambda: mass.values)
@@ -212,7 +193,7 @@ def _add_bodies(scene: Scene, arrays: ModelArrays, parameters: Parameters, t: ty
 
 
 def _add_points(
-    scene: Scene, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters, t: types.Structs
+    scene: SceneData, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters, t: types.Structs
 ) -> tuple[Callable[[], Array], list[Parameter]]:
     """Adds the points; returns a function of their positions (1 or envs, points, 3), and the parameters they depend on.
 
@@ -278,7 +259,7 @@ def _add_points(
 
 
 def _add_surfaces(
-    scene: Scene, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters, t: types.Structs
+    scene: SceneData, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters, t: types.Structs
 ) -> None:
     surfaces, model = scene.surfaces, arrays.model
     bodies = [types.WORLD if surface.body is None else surface.body.index for surface in surfaces]

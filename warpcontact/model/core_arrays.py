@@ -7,7 +7,7 @@ import warp as wp
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.query_mesh import QueryMeshes
 from warpcontact.kernels import types
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.state_storage import COUNT, SWITCH
@@ -17,7 +17,7 @@ BETWEEN_STEPS = frozenset((types.ENV_ACTIVE, types.ENV_FROZEN, types.ENV_STOPPED
 
 
 def declare_arrays(
-    scene: Scene,
+    scene: SceneData,
     t: types.Structs,
     layout: AllocationPlan,
     clusters: ContactClusters,

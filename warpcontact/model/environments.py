@@ -17,8 +17,7 @@ from warpcontact.model.health import Health
 from warpcontact.model.scene_traits import SENSOR_ARRAYS
 from warpcontact.model.sensor_evaluation import CONTACT_NEEDS
 from warpcontact.scene.couplings import Catenary
-from warpcontact.scene.scene import Scene
-from warpcontact.stepping.requirements import stepping_memory
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.memory_estimate import MemoryEstimate, env_count_text, require, total
 from warpcontact.storage.parameters import Parameter
 from warpcontact.system.devices import split_evenly
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from warpcontact.forces.couplings.catenaries import CatenarySet
-    from warpcontact.model.model import Model, State
+    from warpcontact.model.model import DeviceModel, State
 
 
 @explain_renamed
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
 class Environments(
     Uncopied, ABC, instead="pickle or copy its scene, and build that: model.scene.build(envs=model.envs)"
 ):
-    """Environments of one scene on one or several devices: the interface of ``Model`` and ``SplitModel``.
+    """Environments of one scene on one or several devices: the interface of ``DeviceModel`` and ``SplitModel``.
 
     Attributes:
         scene: A copy of the scene they were built from.
@@ -47,14 +46,14 @@ class Environments(
         precision: ``"float32"`` or ``"float64"``.
     """
 
-    scene: Scene
+    scene: SceneData
     envs: int
     first_env: int
     precision: str
 
     @property
     @abstractmethod
-    def parts(self) -> tuple["Model", ...]:
+    def parts(self) -> tuple["DeviceModel", ...]:
         """The models, each on one device, in the order of the environments."""
 
     @property
@@ -62,13 +61,13 @@ class Environments(
     def state(self) -> "State":
         """The current state, if all environments are on one device: arrays (envs, bodies)."""
 
-    def shares(self) -> Iterator[tuple["Model", slice]]:
+    def shares(self) -> Iterator[tuple["DeviceModel", slice]]:
         """Yields the parts, each with the range of its environments."""
         for part in self.parts:
             first = part.first_env - self.first_env
             yield part, slice(first, first + part.envs)
 
-    def shares_of(self, envs: int) -> list[tuple["Model", int]]:
+    def shares_of(self, envs: int) -> list[tuple["DeviceModel", int]]:
         """Returns the parts over which ``envs`` environments would be split, each with its number."""
         return list(zip(self.parts, split_evenly(envs, len(self.parts)), strict=False))
 
@@ -342,7 +341,7 @@ class Environments(
         self.evaluate()
         return np.concatenate([lines.stiffness(part, item) for part, lines, item in self._catenaries(name)])
 
-    def _catenaries(self, name: str) -> "list[tuple[Model, CatenarySet, int]]":
+    def _catenaries(self, name: str) -> "list[tuple[DeviceModel, CatenarySet, int]]":
         """Returns each part, the set that contains the catenary, and its index in the set."""
         from warpcontact.forces.couplings.catenaries import CatenarySet
 
@@ -465,15 +464,6 @@ class Environments(
             np.concatenate([part.arrays.guard.cause.numpy() for part in parts]),
             np.concatenate([part.arrays.time.numpy() for part in parts]),
         )
-
-    def memory(self) -> MemoryEstimate:
-        """Returns the memory estimate of the model and a simulation with default options.
-
-        Arrays of sensors that were evaluated are included, recordings are not. ``print(model.memory())`` shows a
-        table by location and purpose.
-        """
-        stepping = stepping_memory([(part, part.envs) for part in self.parts])
-        return self.memory_estimate().with_items(stepping.items)
 
     def memory_estimate(self) -> MemoryEstimate:
         """Returns the memory estimate of the model, without a simulation."""

@@ -1,38 +1,30 @@
 """A built scene: parameters, state and device arrays of the environments on one device.
 
-``build.py`` creates it. ``Simulation`` steps it; sensors are evaluated by ``sensor_evaluation.py``.
+``Simulation`` steps it; sensors are evaluated by ``sensor_evaluation.py``.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Set
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.contact_groups import ContactGroup
-from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.forces.execution_plan import ExecutionPlan
-from warpcontact.forces.joints.joint_data import PrescribedMotionSet
-from warpcontact.forces.sensor import Sensor
-from warpcontact.geometry.contact_clusters import ContactClusters
-from warpcontact.geometry.side_regions import SideRegion
-from warpcontact.kernels.types import Structs
 from warpcontact.model.environments import Environments
+from warpcontact.model.plan import DeviceModelPlan
 from warpcontact.model.scene_traits import SENSOR_ARRAYS, SHAPE_CONTACT_MEASURES, SceneTraits
 from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages, needs_contacts
-from warpcontact.scene.scene import Contact, Scene
-from warpcontact.storage.allocation_plan import AllocationPlan, broadcast
+from warpcontact.scene.elements import Contact
+from warpcontact.storage.allocation_plan import broadcast
 from warpcontact.storage.memory_estimate import MemoryItem
-from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import DeviceField, Parameter, parameter_memory
 from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
-    from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
-    from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
     from warpcontact.stepping.outcomes.observer import Monitor
 
 #: Quantities of a contact that are 0 without contact.
@@ -74,11 +66,12 @@ class External:
     torque: wp.array
 
 
-class Model(Environments, SceneTraits):
-    """Environments of one scene on one device. Created by ``Scene.build``.
+class DeviceModel(Environments, SceneTraits):
+    """Environments of one scene on one device. Users get the subclass ``Model``.
 
-    ``model["ball.mass"]`` reads a parameter, (envs, …); ``model["ball.mass"] = values`` sets it, from one value
-    or one per environment. ``model.sensor("touch.gap")`` evaluates a sensor at the current state.
+    Args:
+        plan: Plan of the model. It can be used once, because its arrays become those of the model.
+        envs: Number of environments.
 
     Attributes:
         scene: A copy of the scene it was built from.
@@ -90,41 +83,23 @@ class Model(Environments, SceneTraits):
         time: Simulated time since the last complete reset [s].
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        envs: int,
-        device: wp.Device,
-        precision: str,
-        types: Structs,
-        layout: AllocationPlan,
-        arrays: ModelArrays,
-        parameters: dict[str, Parameter],
-        device_fields: list[DeviceField],
-        groups: list[ContactGroup],
-        couplings: list[CouplingSet],
-        shape_contact_sets: "list[ShapeContactSet]",
-        particle_contact_sets: "list[ParticleContactSet]",
-        prescribed_motions: list[PrescribedMotionSet],
-        clusters: ContactClusters,
-        sensors: dict[str, Sensor],
-        side_regions: dict[Contact, list[SideRegion]],
-        meshes: list[wp.Mesh],
-    ) -> None:
-        self.scene = scene
+    @shared_capture_lock()
+    def __init__(self, plan: DeviceModelPlan, envs: int) -> None:
+        plan.allocate(envs)
+        self.scene = plan.scene
         self.envs = envs
-        self.device = device
-        self.precision = precision
-        self.types = types
-        self.layout = layout
-        self.arrays = arrays
-        self.groups = groups
-        self.couplings = couplings
-        self.shape_contact_sets = shape_contact_sets
-        self.particle_contact_sets = particle_contact_sets
-        self.prescribed_motions = prescribed_motions
-        self.clusters = clusters
-        self.parameters = parameters
+        self.device = plan.device
+        self.precision = plan.precision
+        self.types = plan.types
+        self.layout = plan.layout
+        self.arrays = plan.arrays
+        self.groups = plan.groups
+        self.couplings = plan.couplings
+        self.shape_contact_sets = plan.shape_contact_sets
+        self.particle_contact_sets = plan.particle_contact_sets
+        self.prescribed_motions = plan.prescribed_motions
+        self.clusters = plan.clusters
+        self.parameters = plan.parameters.by_name
         self.first_env = 0
         # Incremented when a device array is reallocated: prepared launches must then be rebuilt.
         self.revision = 0
@@ -132,13 +107,13 @@ class Model(Environments, SceneTraits):
         self.elapsed = 0.0
         # Whether the state is the initial one; it then follows changes of its parameters.
         self.is_initial = True
-        self.sensors = sensors
-        self.side_regions = side_regions
-        self._meshes = meshes  # kept alive: a kernel only holds their ids
+        self.sensors = plan.sensors
+        self.side_regions = plan.side_regions
+        self._meshes = plan.meshes  # kept alive: a kernel only holds their ids
         # Step lengths of 0 s [env, 0], for instantaneous forces.
-        self.zero_step = broadcast(arrays.zero_step, envs)
+        self.zero_step = broadcast(self.arrays.zero_step, envs)
         # Status [env] with all environments active, so that sensors of frozen environments can be evaluated.
-        self.active_status = broadcast(arrays.active_status, envs)
+        self.active_status = broadcast(self.arrays.active_status, envs)
         # Launches of evaluations of all environments, by needs, with their revision.
         self._evaluations: tuple[int, dict[frozenset[str], list[wp.Launch]]] = (-1, {})
         # Nonsmooth contacts and monitor of the simulation that stepped last.
@@ -148,13 +123,13 @@ class Model(Environments, SceneTraits):
         self.has_restitution = False
         # Whether the user has access to the arrays of external forces.
         self.external_exposed = False
-        self._device_fields = device_fields  # kept alive: broadcast arrays do not own their memory
-        self.upload(device_fields, (device_field.content() for device_field in device_fields))
-        self._state = State(**{name: getattr(arrays.state, name) for name in types.State.vars})
+        self._device_fields = plan.parameters.device_fields  # kept alive: broadcast arrays do not own their memory
+        self.upload(self._device_fields, (device_field.content() for device_field in self._device_fields))
+        self._state = State(**{name: getattr(self.arrays.state, name) for name in self.types.State.vars})
         self.reset()
 
     @property
-    def parts(self) -> tuple["Model", ...]:
+    def parts(self) -> tuple[Self, ...]:
         """The model itself, because all its environments are on one device."""
         return (self,)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from warpcontact.kernels.acceptance import quarantine
 from warpcontact.kernels.types import ENV_FROZEN, NO_CAUSE, TOO_FAR
-from warpcontact.scene.scene import MAX_DISTANCE, MAX_SPEED, Scene
+from warpcontact.scene.scene_data import MAX_DISTANCE, MAX_SPEED, SceneData
 from warpcontact.scene.status import FailureCause
 from warpcontact.storage.allocation_plan import AllocationPlan, per_env
 from warpcontact.storage.parameters import Field, Parameters, pack
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 CADENCE = 64
 
 
-def add_guard(scene: Scene, layout: AllocationPlan, parameters: Parameters, real: type) -> Any:
+def add_guard(scene: SceneData, layout: AllocationPlan, parameters: Parameters, real: type) -> Any:
     """Returns the struct of limits of speed and distance; declares its arrays and parameters."""
     guard_functions = quarantine.guard(real)
     guard = guard_functions.Guard()

@@ -10,7 +10,7 @@ from warpcontact.kernels.couplings import contact_coupling
 from warpcontact.kernels.joints.measures import Coordinates, Reactions
 from warpcontact.kernels.outcomes import body_measures
 from warpcontact.kernels.types import FREE, TIME_FUNCTION
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import SENSOR_PURPOSE as PURPOSE
 from warpcontact.storage.allocation_plan import AllocationPlan, per_env
 from warpcontact.storage.memory_estimate import MemoryItem
@@ -19,7 +19,7 @@ from warpcontact.storage.memory_estimate import MemoryItem
 class SceneTraits:
     """Counts and flags of a scene, independent of the number of environments."""
 
-    scene: Scene
+    scene: SceneData
 
     @cached_property
     def body_count(self) -> int:

@@ -16,7 +16,8 @@ from warpcontact.kernels.joints import Motion
 from warpcontact.kernels.joints.measures import Coordinates, Reactions
 from warpcontact.kernels.outcomes import body_measures
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, Structs
-from warpcontact.scene.scene import Contact, Scene
+from warpcontact.scene.elements import Contact
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.status import ContactStatus
 from warpcontact.storage.model_arrays import ModelArrays
 
@@ -75,7 +76,7 @@ _COUPLING = {
 
 
 def sensors_of(
-    scene: Scene,
+    scene: SceneData,
     types: Structs,
     start_of: Mapping[Contact, int],
     groups: Sequence[ContactGroup],

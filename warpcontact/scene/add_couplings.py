@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from warpcontact.kernels.friction import Friction
     from warpcontact.scene.contact_coupling import ContactCoupling
     from warpcontact.scene.contact_range import ContactRange
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
 
 
 @explain_keywords_of
@@ -276,7 +276,7 @@ class Couplings:
         from warpcontact.scene.contact_coupling import add_contact_coupling
 
         return add_contact_coupling(
-            cast("Scene", self),
+            cast("SceneData", self),
             surface_a,
             surface_b,
             range,

@@ -16,7 +16,7 @@ from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
 
 if TYPE_CHECKING:
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
 
 # Parameters of a shape in addition to those of its form.
 _OWN = ("position", "orientation")
@@ -63,7 +63,7 @@ class ShapeContacts:
             ValueError: If a value is out of range; the message names it.
         """
         name = checks.new_name("shape", name, self._elements)
-        carrier = cast("Scene", self).owned_body(f"{name}.body", body)
+        carrier = cast("SceneData", self).owned_body(f"{name}.body", body)
         count = 1 if carrier is None else carrier.count
         single = carrier is None or carrier.single
         kind, sizes = _sizes_of(name, form, count, single)

@@ -20,7 +20,7 @@ from warpcontact.validation import checks
 if TYPE_CHECKING:
     from warpcontact.model.environments import Environments
     from warpcontact.scene.contact_coupling_report import CouplingReport
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
 
 FACINGS = ("projected", "all")
 
@@ -61,7 +61,7 @@ class ContactCoupling:
 
 
 def add_contact_coupling(
-    scene: "Scene",
+    scene: "SceneData",
     surface_a: Surface,
     surface_b: Surface,
     contact_range: ContactRange,

@@ -17,7 +17,7 @@ from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.model.environments import Environments
-    from warpcontact.scene.scene import Contact
+    from warpcontact.scene.elements import Contact
 
 
 # Below this mobility a body counts as immovable [1/kg].

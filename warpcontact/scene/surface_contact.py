@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from warpcontact.meshes import SurfaceSamples, sample_surface
-from warpcontact.scene.elements import ContactOptions
-from warpcontact.scene.scene import Contact, ContactMaterial, Scene, Surface
+from warpcontact.scene.elements import Contact, ContactMaterial, ContactOptions, Surface
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.validation import checks
 
 SIDES = ("first", "average")
@@ -16,7 +16,7 @@ COUNTED = ("vertices", "centroids")
 
 
 def add_surface_contact(
-    scene: Scene,
+    scene: SceneData,
     surface_a: Surface,
     surface_b: Surface,
     material: ContactMaterial,
@@ -37,7 +37,7 @@ def add_surface_contact(
 
 
 def _add(
-    scene: Scene,
+    scene: SceneData,
     surface_a: Surface,
     surface_b: Surface,
     material: ContactMaterial,

@@ -14,7 +14,7 @@ from warpcontact.validation import checks
 from warpcontact.validation.safe_text import SafeTextError
 
 if TYPE_CHECKING:
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
 
 # Tolerances: of the norm of stored quaternions, and of values that are normalized when they are set (relative).
 UNIT_ROUNDING = 1.0e-3
@@ -85,7 +85,7 @@ class ParameterValues:
         external: External forces and torques of the file, if any; after ``check``.
     """
 
-    def __init__(self, part: "Model", number: int) -> None:
+    def __init__(self, part: "DeviceModel", number: int) -> None:
         self.part = part
         self.fields = list({id(one.field): one.field for one in part.parameters.values()}.values())
         self.changed: dict[int, NDArray[np.float64]] = {}
@@ -200,7 +200,7 @@ def set_values(parts: Iterable[ParameterValues]) -> None:
         one.upload(content)
 
 
-def _check_parameter(part: "Model", parameter: Parameter, values: NDArray[np.float64]) -> None:
+def _check_parameter(part: "DeviceModel", parameter: Parameter, values: NDArray[np.float64]) -> None:
     """Raises ``CheckpointError`` unless ``values`` (1 or envs, items, …) are allowed for a parameter."""
     try:
         check_values(parameter.name, values, parameter.limits)

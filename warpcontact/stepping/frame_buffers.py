@@ -15,7 +15,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.model.environments import Environments
-from warpcontact.model.model import Model
+from warpcontact.model.model import DeviceModel
 from warpcontact.stepping.frame_copies import FrameCopies
 from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.system.capture_lock import shared_capture_lock
@@ -74,10 +74,10 @@ class Channel:
         self.frame = Frame(name, row, self._sample.nbytes)
         self.result = np.zeros((0, model.envs, *self._sample.shape), dtype=self._sample.dtype)
         self.results = [self.result]
-        self.rings: dict[Model, Ring] = {}
+        self.rings: dict[DeviceModel, Ring] = {}
 
     @shared_capture_lock()
-    def allocate(self, frames: int, blocks: Sequence[Mapping[Model, FrameCopies]]) -> None:
+    def allocate(self, frames: int, blocks: Sequence[Mapping[DeviceModel, FrameCopies]]) -> None:
         """Allocates ``frames`` frames per block, and registers the results of parts on the CPU in ``blocks``."""
         shape = (frames, self.model.envs, *self._sample.shape)
         self.results = [np.zeros(shape, dtype=self._sample.dtype) for _ in blocks]
@@ -115,7 +115,7 @@ class Ring:
         frames: Maximum number of frames until ``drain``.
     """
 
-    def __init__(self, part: Model, frame: Frame, own: slice, frames: int) -> None:
+    def __init__(self, part: DeviceModel, frame: Frame, own: slice, frames: int) -> None:
         self.sensor = part.sensors[frame.name]
         self.source = self.sensor.array(part.arrays)
         self.own = own

@@ -16,7 +16,7 @@ from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:
     from warpcontact.forces.sensor import Sensor
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
 
 
 class FrameCopies:
@@ -26,7 +26,7 @@ class FrameCopies:
         part: The part. A reference is kept, because sensor arrays may be views of its memory.
     """
 
-    def __init__(self, part: "Model") -> None:
+    def __init__(self, part: "DeviceModel") -> None:
         self._part = part
         self._sources: list[tuple[Sensor, wp.array, NDArray[Any]]] = []
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from warpcontact._version import __version__
 from warpcontact.forces.sensor import AXES
 from warpcontact.model.environments import Environments
-from warpcontact.model.model import Model
-from warpcontact.scene.scene import Scene
+from warpcontact.model.model import DeviceModel
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.stepping.frame_buffers import Channel, Frame
 from warpcontact.stepping.frame_copies import FrameCopies
 from warpcontact.storage.allocation_plan import row_bytes
@@ -66,7 +66,7 @@ class RecordingSize:
         return envs * (self.parameters + count * sum(frame.host for frame in self.frames))
 
 
-def item_dimension(scene: Scene, element: str) -> str:
+def item_dimension(scene: SceneData, element: str) -> str:
     """Returns the name of the item dimension of an element; sets of different size need different names."""
     sizes = {points.count for points in scene.points if not points.single}
     sizes |= {body.count for body in scene.bodies if not body.single}
@@ -162,7 +162,7 @@ class Recorder:
         self.channels = [Channel(model, name) for name in sensors]
         self.capacity, self._blocks = frames, blocks
         # Per block, after ``start``: copies of frames of parts on the CPU, and times of the frames.
-        self._copies: list[dict[Model, FrameCopies]] = [{}]
+        self._copies: list[dict[DeviceModel, FrameCopies]] = [{}]
         self._times = np.zeros((1, 0))
         self._block = 0
         self.taken = 0
@@ -175,7 +175,7 @@ class Recorder:
         return RecordingSize(frames, sum(parameters.values()), frozenset(self.needs))
 
     @property
-    def copies(self) -> dict[Model, FrameCopies]:
+    def copies(self) -> dict[DeviceModel, FrameCopies]:
         """Frame copies of the current block, by part on the CPU."""
         return self._copies[self._block]
 
@@ -254,7 +254,7 @@ class Recorder:
             self.take_part(part, slice(0, part.envs), self.taken)
         self.count([time])
 
-    def take_part(self, part: Model, own: slice, number: int) -> None:
+    def take_part(self, part: DeviceModel, own: slice, number: int) -> None:
         """Records frame ``number`` of an evaluated part; ``own`` must be all of its environments."""
         if part in self.copies:
             self.copies[part].take(number)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 
 from warpcontact.kernels.catalogue.names import stored_name
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 
 
 class Series(xr.Dataset):
@@ -37,4 +37,4 @@ class Recording(Series):
 
     __slots__ = ("scene",)
 
-    scene: Scene
+    scene: SceneData

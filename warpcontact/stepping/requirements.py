@@ -20,7 +20,7 @@ from warpcontact.system.resources import HOST, available_threads
 
 if TYPE_CHECKING:
     from warpcontact.kernels.outcomes.base import Outcome
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
     from warpcontact.model.plan import DeviceModelPlan
 
 # Cache of a core that a slice may fill, and bytes of a contact, a body and a face in it; measured.
@@ -49,7 +49,7 @@ class KernelLister(ExecutionPlan):
         return [kernel] if items else []
 
 
-def slice_sizes(shares: "Sequence[tuple[Model | DeviceModelPlan, int]]", threads: int) -> list[int]:
+def slice_sizes(shares: "Sequence[tuple[DeviceModel | DeviceModelPlan, int]]", threads: int) -> list[int]:
     """Returns the number of environments per slice, by part.
 
     On a CPU a slice fits into the cache of a core, and there is at least one slice per thread if possible. On a GPU a
@@ -69,14 +69,14 @@ def cut_slices(envs: int, size: int) -> list[slice]:
     return [slice(first, min(first + size, envs)) for first in range(0, envs, size)]
 
 
-def _max_slice(part: "Model | DeviceModelPlan") -> int:
+def _max_slice(part: "DeviceModel | DeviceModelPlan") -> int:
     """Returns the number of environments that fit into the cache of a core, with the faces that they read."""
     per_env = _cache_bytes_per_env(part)
     with_faces = CACHE_BYTES // (per_env + FACE_BYTES * part.arrays.faces_read)
     return min(CACHE_BYTES // per_env, max(MIN_SLICE_FOR_FACES, with_faces))
 
 
-def _cache_bytes_per_env(part: "Model | DeviceModelPlan") -> int:
+def _cache_bytes_per_env(part: "DeviceModel | DeviceModelPlan") -> int:
     """Returns the cache bytes of one environment, without faces."""
     for_contacts = CONTACT_BYTES * (part.contact_count + part.shape_contact_count) + BODY_BYTES * part.body_count
     return for_contacts + sum(particle_set.bytes_per_step for particle_set in part.particle_contact_sets)
@@ -84,7 +84,7 @@ def _cache_bytes_per_env(part: "Model | DeviceModelPlan") -> int:
 
 @shared_capture_lock()
 def stepping_memory(
-    shares: Sequence[tuple["Model | DeviceModelPlan", int]],
+    shares: Sequence[tuple["DeviceModel | DeviceModelPlan", int]],
     integrator: Integrator | None = None,
     *,
     crossing_substeps: int = 1,
@@ -116,7 +116,7 @@ def stepping_memory(
         # No kernel is launched, so a ``DeviceModelPlan`` can stand for the model.
         queued = part.device.is_cuda
         plan = KernelLister(
-            cast("Model", part),
+            cast("DeviceModel", part),
             1,
             distance_cache and not (monitor and monitor.needs_all_distances),
             ordered_sum=not queued,
@@ -161,7 +161,7 @@ def stepping_memory(
     return total(estimates)
 
 
-def step_kernels(part: "Model", stepper: Stepper, recorded_needs: Sequence[Set[str]]) -> list[wp.Kernel]:
+def step_kernels(part: "DeviceModel", stepper: Stepper, recorded_needs: Sequence[Set[str]]) -> list[wp.Kernel]:
     """Returns the kernels that steps and frames launch, each once, the largest first.
 
     Args:

@@ -16,7 +16,7 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.renamed import explain_renamed
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.model.environments import Environments
-from warpcontact.model.model import Model, State
+from warpcontact.model.model import DeviceModel, State
 from warpcontact.model.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.model.sensor_evaluation import CONTACT_NEEDS, can_evaluate_by_slice, check_needs
 from warpcontact.stepping import checkpoint
@@ -285,7 +285,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             self._advance(count, None)
 
     def step_with_callback(
-        self, frames: int, every: int, needs: Iterable[str], take: Callable[[Model, slice, int], None]
+        self, frames: int, every: int, needs: Iterable[str], take: Callable[[DeviceModel, slice, int], None]
     ) -> None:
         """Takes ``frames`` × ``every`` steps, and evaluates the state after every ``every`` steps.
 
@@ -405,7 +405,9 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             for (part, _), own, buffers in zip(parts, slices, self._buffers, strict=True)
         ]
 
-    def _stepper(self, model: Model, buffers: StepBuffers, kind: type[ExecutionPlan] | None = None) -> Stepper:
+    def _stepper(
+        self, model: DeviceModel, buffers: StepBuffers, kind: type[ExecutionPlan] | None = None
+    ) -> Stepper:
         # On a CPU one thread steps a slice, so the order of summation is always the same.
         uses_gpu = model.device.is_cuda
         ordered = self.deterministic or not uses_gpu

@@ -29,7 +29,7 @@ from warpcontact.storage.allocation_plan import AllocationPlan, broadcast, per_e
 from warpcontact.system.capture_lock import exclusive_capture_lock, shared_capture_lock
 
 if TYPE_CHECKING:
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
     from warpcontact.model.plan import DeviceModelPlan
 
 # Steps per graph, largest first; any number of steps is composed of these. A graph of an odd number ends in the other
@@ -103,7 +103,7 @@ class StepBuffers:
 
     def __init__(
         self,
-        model: "Model | DeviceModelPlan",
+        model: "DeviceModel | DeviceModelPlan",
         integrator: Integrator,
         dt: float = 0.0,
         substeps: int = 1,
@@ -158,8 +158,8 @@ class FrameSchedule:
 
     every: int
     needs: frozenset[str]
-    deliver_frame: Callable[["Model", slice, int], None]
-    copies: Mapping["Model", FrameCopies] = field(default_factory=dict)
+    deliver_frame: Callable[["DeviceModel", slice, int], None]
+    copies: Mapping["DeviceModel", FrameCopies] = field(default_factory=dict)
     first_frame: int = 0
     follows_frame: bool = False
 

@@ -17,7 +17,7 @@ from warpcontact.kernels.contact.contact_evaluation import ContactModel
 from warpcontact.meshes import Mesh
 from warpcontact.scene.contact_range import ContactRange
 from warpcontact.scene.elements import ContactMaterial
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import is_custom
 from warpcontact.usd.importing.records import SCHEMA
@@ -28,7 +28,7 @@ from warpcontact.validation.checks import Array
 ROOT = "/World/Description"
 
 
-def write_description(stage: Any, scene: Scene, names: Mapping[str, str], root: str = ROOT) -> None:
+def write_description(stage: Any, scene: SceneData, names: Mapping[str, str], root: str = ROOT) -> None:
     """Writes the description of a scene.
 
     Args:
@@ -46,7 +46,7 @@ def write_description(stage: Any, scene: Scene, names: Mapping[str, str], root: 
         _Description(stage.GetEditTarget().GetLayer(), scene, names, root).write()
 
 
-def read_description(stage: Any, custom_types: Iterable[type[Formula]] = ()) -> Scene | None:
+def read_description(stage: Any, custom_types: Iterable[type[Formula]] = ()) -> SceneData | None:
     """Returns the scene that a stage describes; ``None`` if it has no description.
 
     Args:
@@ -66,7 +66,7 @@ def read_description(stage: Any, custom_types: Iterable[type[Formula]] = ()) -> 
 class _Description:
     """Writes one description. Specs are created in the layer directly, without composing a stage."""
 
-    def __init__(self, layer: Any, scene: Scene, names: Mapping[str, str], root: str) -> None:
+    def __init__(self, layer: Any, scene: SceneData, names: Mapping[str, str], root: str) -> None:
         self.layer = layer
         self.scene = scene
         self.root = root

@@ -8,7 +8,7 @@ import numpy as np
 from warpcontact.drawing.content import Content
 from warpcontact.drawing.ranges import SceneRanges
 from warpcontact.drawing.replay import Replay
-from warpcontact.scene.scene import Body
+from warpcontact.scene.elements import Body
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.arrows import write_arrows
 from warpcontact.usd.author import Samples, identifiers, series, write_box

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from warpcontact.drawing.content import Content
 from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.author import Samples
 from warpcontact.usd.clips import Clips, check_frames
 from warpcontact.usd.files import check_path, save_stage
@@ -22,7 +22,7 @@ def export_usd(
     path: str | Path,
     *,
     envs: int | Iterable[int] | None = None,
-    scene: Scene | None = None,
+    scene: SceneData | None = None,
     spacing: ArrayLike = (0.0, 0.0),
     force_scale: float | None = None,
     ensemble: bool | str = "auto",

@@ -8,7 +8,7 @@ from warpcontact.algebra.poses import inverse, product, shortest_rotations, tran
 from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.catalogue.device_model import unit_vectors
 from warpcontact.kernels.types import BALL, HINGE, PLANAR, SLIDER, TRANSLATION
-from warpcontact.scene.scene import Body
+from warpcontact.scene.elements import Body
 from warpcontact.usd.author import store_element_name
 from warpcontact.validation.checks import Array
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from warpcontact.drawing.body_sets import CENTRES, BodySet
 from warpcontact.drawing.shapes import ShapePlacement
 from warpcontact.drawing.surfaces import Placement
-from warpcontact.scene.scene import Body
+from warpcontact.scene.elements import Body
 from warpcontact.validation.checks import Array
 
 WORLD = "/World"

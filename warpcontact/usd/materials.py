@@ -8,7 +8,7 @@ import numpy as np
 
 from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.friction import Friction, Frictionless
-from warpcontact.scene.scene import Contact
+from warpcontact.scene.elements import Contact
 from warpcontact.scene.shapes import ShapeContact
 from warpcontact.usd.layout import WORLD
 from warpcontact.usd.rolling import rolling_radius

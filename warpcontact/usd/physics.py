@@ -7,7 +7,7 @@ import numpy as np
 
 from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.types import FIXED, PRESCRIBED, TIME_FUNCTION
-from warpcontact.scene.scene import Body
+from warpcontact.scene.elements import Body
 from warpcontact.usd.author import Samples, vectors
 from warpcontact.validation.checks import Array
 

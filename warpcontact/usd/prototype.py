@@ -7,7 +7,7 @@ import numpy as np
 from warpcontact.drawing.content import POINT, Content
 from warpcontact.drawing.ranges import body_reach
 from warpcontact.drawing.spheres import body_size
-from warpcontact.scene.scene import Body
+from warpcontact.scene.elements import Body
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.arrows import define_arrows
 from warpcontact.usd.author import add_pose_operations, store_element_name, write_box

@@ -16,7 +16,7 @@ from warpcontact.scene.contact_coupling import ContactCoupling
 from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
 from warpcontact.scene.elements import Body, Contact, Points, Surface
 from warpcontact.scene.particles import ParticleContact
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.shapes import Shape, ShapeContact
 from warpcontact.validation.checks import Array
 
@@ -75,7 +75,7 @@ class ShapeParameters:
 @functools.cache
 def argument_names(kind: str) -> tuple[str, ...]:
     """Returns the argument names of elements of a kind; ``points`` can have ``normals`` as well."""
-    names = tuple(inspect.signature(getattr(Scene, ADDERS[kind])).parameters)[1:]
+    names = tuple(inspect.signature(getattr(SceneData, ADDERS[kind])).parameters)[1:]
     names_without_derived = tuple(
         name for name in names if name != "name" and name not in _DERIVED_ARGUMENTS.get(kind, ())
     )
@@ -85,11 +85,11 @@ def argument_names(kind: str) -> tuple[str, ...]:
 @functools.cache
 def required_names(kind: str) -> tuple[str, ...]:
     """Returns the names of the required arguments of elements of a kind."""
-    parameters = inspect.signature(getattr(Scene, ADDERS[kind])).parameters.values()
+    parameters = inspect.signature(getattr(SceneData, ADDERS[kind])).parameters.values()
     return tuple(one.name for one in parameters if one.default is inspect.Parameter.empty)[1:]
 
 
-def element_calls(scene: Scene) -> list[ElementCall]:
+def element_calls(scene: SceneData) -> list[ElementCall]:
     """Returns all elements in the order in which they were added; parts of a contact coupling are omitted."""
     parts = set[str]()
     for coupling in scene.contact_couplings:
@@ -112,7 +112,7 @@ def _element_call(element: Any) -> ElementCall:
 
 @functools.cache
 def _defaults(kind: str) -> dict[str, Any]:
-    parameters = inspect.signature(getattr(Scene, ADDERS[kind])).parameters.values()
+    parameters = inspect.signature(getattr(SceneData, ADDERS[kind])).parameters.values()
     return {one.name: one.default for one in parameters if one.default is not inspect.Parameter.empty}
 
 

@@ -12,7 +12,7 @@ from warpcontact.drawing.content import Content
 from warpcontact.drawing.ensemble import Ensemble
 from warpcontact.drawing.ranges import SceneRanges
 from warpcontact.drawing.replay import Replay
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.author import Samples, write_box
 from warpcontact.usd.coloring import Coloring
 from warpcontact.usd.description import write_description
@@ -52,7 +52,7 @@ class Export:
         self,
         recording: xr.Dataset,
         envs: int | Iterable[int] | None,
-        scene: Scene | None,
+        scene: SceneData | None,
         spacing: ArrayLike,
         force_scale: float | None,
         ensemble: bool | str,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from warpcontact.drawing.surfaces import INACTIVE, Placement, surface_color
-from warpcontact.scene.scene import Surface
+from warpcontact.scene.elements import Surface
 from warpcontact.usd.author import add_pose, store_element_name, vectors, write_box
 from warpcontact.usd.geometry import set_color
 

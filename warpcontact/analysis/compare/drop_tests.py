@@ -14,10 +14,11 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import PchipInterpolator
 
 from warpcontact.analysis.compare import instances as samples
+from warpcontact.building.scene import Scene
 from warpcontact.kernels.laws.base import Law
 from warpcontact.meshes import grid
 from warpcontact.model.environments import Environments
-from warpcontact.scene.scene import ContactMaterial, Scene
+from warpcontact.scene.elements import ContactMaterial
 from warpcontact.scene.status import ContactStatus
 from warpcontact.stepping.simulation import Simulation
 from warpcontact.validation import checks

@@ -14,12 +14,13 @@ import xarray as xr
 from warpcontact._version import __version__
 from warpcontact.analysis.compare import instances
 from warpcontact.analysis.compare.labels import notes, settings
+from warpcontact.building.scene import Scene
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.laws.hooke import Hooke
 from warpcontact.meshes import grid
 from warpcontact.model.environments import Environments
-from warpcontact.scene.scene import ContactMaterial, Scene
+from warpcontact.scene.elements import ContactMaterial
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.simulation import Simulation
 from warpcontact.validation import checks

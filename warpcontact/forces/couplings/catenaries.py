@@ -19,7 +19,7 @@ from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
 
@@ -103,7 +103,7 @@ class CatenarySet(CouplingSet):
         wp.launch(kernel, dim=(envs, self.count), inputs=inputs, device=chosen.device)
 
     @shared_capture_lock()
-    def shape(self, model: "Model", item: int, count: int) -> NDArray[np.float64]:
+    def shape(self, model: "DeviceModel", item: int, count: int) -> NDArray[np.float64]:
         """Returns points on a catenary at its last evaluation, (envs, count, 3), world [m]."""
         points = wp.zeros((model.envs, count), dtype=wp.vec3d, device=model.device)
         kernel = line_measures.shapes(self.types.real, self.floored)
@@ -111,14 +111,14 @@ class CatenarySet(CouplingSet):
         return points.numpy()
 
     @shared_capture_lock()
-    def stiffness(self, model: "Model", item: int) -> NDArray[np.float64]:
+    def stiffness(self, model: "DeviceModel", item: int) -> NDArray[np.float64]:
         """Returns the derivative of the force on end b by its position, (envs, 3, 3), world [N/m]."""
         rates = wp.zeros(model.envs, dtype=wp.mat33d, device=model.device)
         kernel = line_measures.stiffness(self.types.real, self.floored)
         self._measure(model, kernel, item, rates)
         return rates.numpy()
 
-    def _measure(self, model: "Model", kernel: wp.Kernel, item: int, target: wp.array) -> None:
+    def _measure(self, model: "DeviceModel", kernel: wp.Kernel, item: int, target: wp.array) -> None:
         a = model.arrays
         inputs = [a.model, a.state, self.first, item, self.settings, self._trial_solution]
         wp.launch(kernel, dim=target.shape, inputs=inputs, outputs=[target], device=model.device)

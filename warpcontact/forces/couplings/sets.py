@@ -7,7 +7,7 @@ from warpcontact.kernels.types import Structs
 from warpcontact.scene.couplings import Bushing, Catenary, Coupling, SpringDamper
 
 if TYPE_CHECKING:
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
 
@@ -29,7 +29,7 @@ def set_of(kind: type[Coupling]) -> type[CouplingSet]:
 
 
 def make_sets(
-    scene: "Scene", layout: "AllocationPlan", parameters: "Parameters", types: Structs
+    scene: "SceneData", layout: "AllocationPlan", parameters: "Parameters", types: Structs
 ) -> list[CouplingSet]:
     """Declares the arrays of all couplings and adds their parameters."""
     sorted_: dict[tuple[type[Coupling], Any], list[Coupling]] = {}

@@ -11,7 +11,7 @@ from warpcontact.kernels.catalogue.device_model import unit_vectors
 from warpcontact.kernels.joints import Motion, driven
 from warpcontact.kernels.types import FREE, TIME_FUNCTION, BodyMotion
 from warpcontact.scene.elements import Body
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import DeviceField, Field, Parameters, pack, split
@@ -77,7 +77,7 @@ class PrescribedMotionSet:
 
 
 def add_motions(
-    scene: Scene, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters
+    scene: SceneData, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters
 ) -> list[PrescribedMotionSet]:
     """Adds joints and motions of the bodies, if any body is not free; returns the prescribed motions."""
     bodies = scene.bodies

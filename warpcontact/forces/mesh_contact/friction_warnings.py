@@ -17,8 +17,8 @@ from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.model.environments import Environments
-    from warpcontact.model.model import Model
-    from warpcontact.scene.scene import Contact
+    from warpcontact.model.model import DeviceModel
+    from warpcontact.scene.elements import Contact
 
 KernelFactory = Callable[[type[Formula], type], wp.Kernel]
 
@@ -122,7 +122,12 @@ def _run_kernel(
 
 
 def _run_kernel_on(
-    model: "Model", contact: "Contact", part: str, kernel: KernelFactory, inputs: Sequence[Array], outputs: int
+    model: "DeviceModel",
+    contact: "Contact",
+    part: str,
+    kernel: KernelFactory,
+    inputs: Sequence[Array],
+    outputs: int,
 ) -> list[Array]:
     """Returns the outputs of ``_run_kernel`` for the first environments of one device."""
     real, device, shape = model.types.real, model.device, inputs[0].shape

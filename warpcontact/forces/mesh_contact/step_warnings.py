@@ -20,9 +20,8 @@ from warpcontact.validation.checks import Array
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
     from warpcontact.model.environments import Environments
-    from warpcontact.scene.elements import Body
+    from warpcontact.scene.elements import Body, Contact
     from warpcontact.scene.particles import ParticleContact
-    from warpcontact.scene.scene import Contact
     from warpcontact.scene.shapes import ShapeContact
 
 # Minimum number of steps per contact duration: the restitution of a smooth law is then accurate to about 1e-3.

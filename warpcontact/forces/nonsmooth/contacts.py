@@ -22,8 +22,9 @@ from warpcontact.kernels.nonsmooth import build_rows, exact_sleep, save_impulses
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.shapes.records import shape_contact_structs
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
+from warpcontact.scene.elements import Contact
 from warpcontact.scene.particles import ParticleContact
-from warpcontact.scene.scene import Contact, Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.shapes import ShapeContact
 from warpcontact.scene.status import ContactMode
 from warpcontact.storage.allocation_plan import AllocationPlan, per_env
@@ -36,7 +37,7 @@ from warpcontact.validation.checks import similar
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan
     from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
     from warpcontact.model.plan import DeviceModelPlan
 
 
@@ -112,7 +113,7 @@ class NonsmoothContacts:
 
     def __init__(
         self,
-        model: "Model | DeviceModelPlan",
+        model: "DeviceModel | DeviceModelPlan",
         compliant: Collection[str],
         scratch: Mapping[str, Callable[[type, bool], Any]],
         tolerance: float,
@@ -121,7 +122,7 @@ class NonsmoothContacts:
         sequential: bool = False,
     ) -> None:
         t = model.types
-        scene: Scene = model.scene
+        scene: SceneData = model.scene
         forces = [contact.name for contact in scene.contacts if contact.facing is not None]
         self.compliant = frozenset([*compliant, *forces])
         self.tolerance, self.recovery = tolerance, recovery
@@ -229,13 +230,13 @@ class NonsmoothContacts:
         )
         return MemoryItem(PURPOSE, str(self._device), *device_field.size(envs, own))
 
-    def attach_simulation(self, model: "Model", step: wp.array) -> None:
+    def attach_simulation(self, model: "DeviceModel", step: wp.array) -> None:
         """Attaches the allocated model and the step length [env, 0] [s]."""
         self.check_shares(model.parameters)
         self._bodies, self._step = model.body_count, step
         self._upload = material_upload(self, self._materials, model.parameters, model.device, self._real)
 
-    def activate(self, model: "Model") -> None:
+    def activate(self, model: "DeviceModel") -> None:
         """Activates nonsmooth contact: materials follow their parameters, and stored impulses are cleared.
 
         Dissipated energies and counts are kept.
@@ -248,7 +249,7 @@ class NonsmoothContacts:
         self._reset(wp.full(model.envs, True, dtype=wp.bool, device=model.device), all_statistics=False)
         self._reset_laws(model)
 
-    def deactivate(self, model: "Model") -> None:
+    def deactivate(self, model: "DeviceModel") -> None:
         """Deactivates nonsmooth contact: materials no longer follow their parameters."""
         self._reset_laws(model)
         self._set_contact_gap(model, 0.0)
@@ -256,7 +257,7 @@ class NonsmoothContacts:
             if self._upload in parameter.device_fields:
                 parameter.device_fields.remove(self._upload)
 
-    def _set_contact_gap(self, model: "Model", gap: float) -> None:
+    def _set_contact_gap(self, model: "DeviceModel", gap: float) -> None:
         """Sets the gap below which the nonsmooth contacts are closed [m]."""
         closed = [(model.arrays.closed, self._mesh.numbers)] if self._mesh.count else []
         closed += [(one.closed, own.numbers) for one, own in self._shape_contact_sets if own.count]
@@ -265,7 +266,7 @@ class NonsmoothContacts:
             one.assign(items, gap)
         model.upload([one.device_field for one, _ in closed], [one.device_field.content() for one, _ in closed])
 
-    def _reset_laws(self, model: "Model") -> None:
+    def _reset_laws(self, model: "DeviceModel") -> None:
         """Clears entry speeds and approach speeds of nonsmooth contacts, whose laws were not evaluated meanwhile."""
         history, contacts = model.arrays.history, model.arrays.contacts
         if self._mesh.count:
@@ -469,7 +470,7 @@ class NonsmoothContacts:
             launches += plan.prepare(kernel, own.count, inputs)
         return launches
 
-    def show(self, model: "Model") -> None:
+    def show(self, model: "DeviceModel") -> None:
         """Copies the last step to the sensor arrays of all contacts and bodies; forces are means over the step."""
         from warpcontact.forces.execution_plan import ExecutionPlan
 
@@ -555,7 +556,7 @@ def is_nonsmooth_sensor(name: str) -> bool:
     return quantity in OF_SCENE if element == "scene" else quantity in ("impulse", "mode")
 
 
-def sensor_hint(name: str, stored_count: Collection[str], scene: Scene) -> str:
+def sensor_hint(name: str, stored_count: Collection[str], scene: SceneData) -> str:
     """Returns the end of a message about an unknown sensor: the required integrator, or similar names."""
     element = name.rpartition(".")[0]
     contacts = {contact.name for contact in scene.contacts} | {contact.name for contact in scene.shape_contacts}

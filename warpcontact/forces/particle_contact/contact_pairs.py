@@ -11,7 +11,7 @@ from warpcontact.kernels.particles.base import IN_CONTACT
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
 
 _AXES = ["x", "y", "z"]
 _MEANINGS = {
@@ -24,7 +24,7 @@ _MEANINGS = {
 }
 
 
-def contact_pairs(parts: "Sequence[tuple[Model, int, ParticleContactSet]]") -> xr.Dataset:
+def contact_pairs(parts: "Sequence[tuple[DeviceModel, int, ParticleContactSet]]") -> xr.Dataset:
     """Returns the pairs in contact at the last evaluated state.
 
     Args:
@@ -56,7 +56,7 @@ def contact_pairs(parts: "Sequence[tuple[Model, int, ParticleContactSet]]") -> x
     return result
 
 
-def _pairs_of_model(model: "Model", first_env: int, particle_set: ParticleContactSet) -> dict[str, Array]:
+def _pairs_of_model(model: "DeviceModel", first_env: int, particle_set: ParticleContactSet) -> dict[str, Array]:
     count = particle_set.contact.count
     starts = particle_set.particles.slot_start.numpy()
     owner = np.repeat(np.arange(count), np.diff(starts))

@@ -44,7 +44,7 @@ from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
 
 # Bytes in the CPU cache per entry of a neighbor list, and per particle with the records of its contacts.
 ENTRY_BYTES = 8
@@ -94,7 +94,7 @@ class ParticleContactSet:
     def __init__(
         self,
         contact: ParticleContact,
-        scene: "Scene",
+        scene: "SceneData",
         layout: AllocationPlan,
         parameters: Parameters,
         types: Structs,
@@ -550,7 +550,7 @@ def particle_arrays(particle_set: ParticleContactSet | None, real: type) -> list
 
 
 def make_particle_contact_sets(
-    scene: "Scene", layout: AllocationPlan, parameters: Parameters, types: Structs
+    scene: "SceneData", layout: AllocationPlan, parameters: Parameters, types: Structs
 ) -> list[ParticleContactSet]:
     """Declares the arrays of all particle contacts, and adds their parameters."""
     return [ParticleContactSet(contact, scene, layout, parameters, types) for contact in scene.particle_contacts]

@@ -41,7 +41,7 @@ from warpcontact.validation.custom_law_errors import compile_error_text, has_use
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import DeviceField, Parameters
 
@@ -425,7 +425,7 @@ def _ranges(items: Mapping[ShapeContact, slice]) -> list[tuple[tuple[type[Form],
     return ranges
 
 
-def sorted_contacts(scene: "Scene") -> list[list[ShapeContact]]:
+def sorted_contacts(scene: "SceneData") -> list[list[ShapeContact]]:
     """Returns the shape contacts of a scene grouped by contact model, and ordered by kinds within a group."""
     sets: dict[ContactModel, dict[Any, list[ShapeContact]]] = {}
     for contact in scene.shape_contacts:
@@ -434,7 +434,7 @@ def sorted_contacts(scene: "Scene") -> list[list[ShapeContact]]:
 
 
 def make_shape_contact_sets(
-    scene: "Scene",
+    scene: "SceneData",
     shapes: Mapping[type[Form], ShapeSet],
     layout: "AllocationPlan",
     parameters: "Parameters",

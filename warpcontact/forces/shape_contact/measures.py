@@ -10,10 +10,10 @@ from warpcontact.kernels.shapes.curvature import pair_curvature
 
 if TYPE_CHECKING:
     from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
 
 
-def measure(name: str, model: "Model") -> None:
+def measure(name: str, model: "DeviceModel") -> None:
     """Computes the measure ``name`` of all shape contacts from their last evaluation."""
     for own in model.shape_contact_sets:
         for kinds, items in own.ranges:
@@ -38,7 +38,7 @@ def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
 
 
 def _points(
-    model: "Model", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int
+    model: "DeviceModel", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int
 ) -> tuple[wp.Kernel, list[Any]]:
     shape_poses = own.shapes[kinds[1]].arrays.pose
     inputs = [
@@ -53,6 +53,8 @@ def _points(
     return measures.points(own.real), inputs
 
 
-def _inputs(model: "Model", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int) -> list[Any]:
+def _inputs(
+    model: "DeviceModel", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int
+) -> list[Any]:
     arrays = [own.shapes[kind].arrays for kind in kinds]
     return [model.arrays.state, first, own.first, own.contact_shapes, *arrays, own.warm_starts]

@@ -10,9 +10,9 @@ from warpcontact.storage.allocation_plan import AllocationPlan
 
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
     from warpcontact.model.plan import DeviceModelPlan
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
 
 
 class Integrator(ABC):
@@ -22,7 +22,7 @@ class Integrator(ABC):
     order: int
 
     @abstractmethod
-    def check(self, scene: "Scene") -> None:
+    def check(self, scene: "SceneData") -> None:
         """Checks that the integrator can step a scene.
 
         Raises:
@@ -36,7 +36,9 @@ class Integrator(ABC):
             ValueError: If it is incompatible with the settings of the integrator.
         """
 
-    def declare(self, model: "Model | DeviceModelPlan", layout: AllocationPlan) -> "NonsmoothContacts | None":
+    def declare(
+        self, model: "DeviceModel | DeviceModelPlan", layout: AllocationPlan
+    ) -> "NonsmoothContacts | None":
         """Declares the arrays of the integrator and returns the nonsmooth contacts; ``None`` if there are none."""
         return None
 
@@ -83,7 +85,7 @@ class Integrator(ABC):
         return []
 
 
-def formulas_of(scene: "Scene") -> dict[str, dict[str, Any]]:
+def formulas_of(scene: "SceneData") -> dict[str, dict[str, Any]]:
     """Returns the law and friction models of all contacts of a scene: contact name → part → model."""
     return {
         **{contact.name: contact.material.formulas for contact in scene.contacts},

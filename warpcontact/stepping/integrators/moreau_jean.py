@@ -22,9 +22,9 @@ from warpcontact.validation.checks import limits
 
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
     from warpcontact.model.plan import DeviceModelPlan
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
 
 KERNELS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
 #: Kernels of each value of ``solver``; the second one is used if the first one does not converge.
@@ -107,7 +107,7 @@ class MoreauJean(Integrator):
             raise TypeError(f"compliant must be a list of names of contacts, got the string {self.compliant!r}")
         object.__setattr__(self, "compliant", tuple(self.compliant))
 
-    def check(self, scene: "Scene") -> None:
+    def check(self, scene: "SceneData") -> None:
         """Checks that nonsmooth contacts have a rigid law and a friction coefficient, and compliant ones a force.
 
         Raises:
@@ -145,7 +145,7 @@ class MoreauJean(Integrator):
                 f"recovery_time must be at least dt = {dt:g} s, got {self.recovery_time:g} s; use ten steps or more"
             )
 
-    def declare(self, model: "Model | DeviceModelPlan", layout: AllocationPlan) -> "NonsmoothContacts":
+    def declare(self, model: "DeviceModel | DeviceModelPlan", layout: AllocationPlan) -> "NonsmoothContacts":
         """Declares the nonsmooth contacts of ``model``."""
         from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
 

@@ -21,7 +21,7 @@ from warpcontact.kernels.joints import driven, step
 from warpcontact.stepping.integrators.base import Integrator, formulas_of
 
 if TYPE_CHECKING:
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
 
 
 @explain_keywords_of
@@ -34,7 +34,7 @@ class SemiImplicitEuler(Integrator):
 
     order = 1
 
-    def check(self, scene: "Scene") -> None:
+    def check(self, scene: "SceneData") -> None:
         """Checks that all contacts of ``scene`` have force laws.
 
         Raises:

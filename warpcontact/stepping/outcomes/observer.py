@@ -26,7 +26,7 @@ from warpcontact.validation.custom_law_errors import compile_error_text
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
     from warpcontact.model.plan import DeviceModelPlan
 
 PURPOSE = "outcomes"
@@ -84,14 +84,14 @@ class Monitor:
 
     def __init__(
         self,
-        model: "Model | DeviceModelPlan",
+        model: "DeviceModel | DeviceModelPlan",
         settings: MonitorSettings,
         layout: AllocationPlan,
         nonsmooth: "NonsmoothContacts | None",
     ) -> None:
         self.settings = settings
         self._real, self._device = model.types.real, layout.device
-        self._model: Model | None = None
+        self._model: DeviceModel | None = None
         self._nonsmooth = nonsmooth
         resolver = SourceResolver(model, nonsmooth)
         self.outcome_states = [
@@ -141,7 +141,7 @@ class Monitor:
         self.resets: Any = None
         layout.array(PURPOSE, self, "resets", wp.int32, per_env(), ranges={"resets": COUNT})
 
-    def initialize(self, model: "Model") -> None:
+    def initialize(self, model: "DeviceModel") -> None:
         """Attaches the allocated model and compiles the outcomes, which may be user-defined.
 
         Raises:

@@ -16,7 +16,7 @@ from warpcontact.validation.checks import find_entry
 
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
-    from warpcontact.model.model import Model
+    from warpcontact.model.model import DeviceModel
     from warpcontact.model.plan import DeviceModelPlan
 
 #: Sensors of a contact with a mesh that are not computed while the contact is culled.
@@ -91,7 +91,7 @@ class SourceResolver:
         nonsmooth: The nonsmooth contacts, if any.
     """
 
-    def __init__(self, model: "Model | DeviceModelPlan", nonsmooth: "NonsmoothContacts | None") -> None:
+    def __init__(self, model: "DeviceModel | DeviceModelPlan", nonsmooth: "NonsmoothContacts | None") -> None:
         self._sensors: Mapping[str, Sensor] = model.sensors
         self._scene = model.scene
         self._nonsmooth: Collection[str] = frozenset()

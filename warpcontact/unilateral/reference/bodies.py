@@ -7,7 +7,7 @@ import numpy as np
 from warpcontact.algebra.poses import inverse, product
 from warpcontact.algebra.vectors import cross
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TIME_FUNCTION, TRANSLATION
-from warpcontact.model.model import Model
+from warpcontact.model.model import DeviceModel
 from warpcontact.unilateral.reference.snapshot import Snapshot
 from warpcontact.validation.checks import Array
 
@@ -34,7 +34,7 @@ class Bodies:
         env: Index of the environment in it.
     """
 
-    def __init__(self, model: Model, env: int) -> None:
+    def __init__(self, model: DeviceModel, env: int) -> None:
         device = model.arrays.model
         self.model, self.env = model, env
         self.count = model.body_count

@@ -14,7 +14,7 @@ from warpcontact.validation.checks import Array
 if TYPE_CHECKING:
     import xarray as xr
 
-    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.scene_data import SceneData
 
 _UNITS = {"position": "m", "orientation": "-", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
 _COMPONENTS = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
@@ -84,7 +84,7 @@ class EventRun:
     times: Array
     states: tuple[Snapshot, ...]
     events: tuple[Event, ...]
-    scene: "Scene"
+    scene: "SceneData"
 
     def events_of(self, kind: EventKind | str, contact: str | None = None) -> list[Event]:
         """Returns the events of one kind, optionally of one contact.

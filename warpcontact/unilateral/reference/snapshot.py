@@ -11,7 +11,7 @@ import warp as wp
 from warpcontact.algebra.poses import product
 from warpcontact.kernels.joints import driven
 from warpcontact.model.environments import Environments
-from warpcontact.model.model import Model
+from warpcontact.model.model import DeviceModel
 from warpcontact.storage.parameters import split
 from warpcontact.validation.checks import Array
 
@@ -69,7 +69,7 @@ def rotate_quaternions(orientation: Array, angle: Array) -> Array:
     return result / np.linalg.norm(result, axis=1, keepdims=True)
 
 
-def find_environment(model: Any, env: int) -> tuple[Model, int]:
+def find_environment(model: Any, env: int) -> tuple[DeviceModel, int]:
     """Returns the device model that has environment ``env``, and the index of the environment in it.
 
     Raises:
@@ -94,7 +94,7 @@ class EnvironmentAccess:
         env: Index of the environment in it.
     """
 
-    def __init__(self, model: Model, env: int) -> None:
+    def __init__(self, model: DeviceModel, env: int) -> None:
         self.model, self.env = model, env
         state = model.arrays.state
         self._arrays = {name: getattr(state, f"body_{name}") for name in (*_STATE, "position_remainder")}

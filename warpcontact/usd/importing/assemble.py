@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from warpcontact.kernels.joints import Fixed, Prescribed
 from warpcontact.scene.elements import Body, ContactMaterial
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.importing.contact_materials import FRICTION, PhysicsMaterial
 from warpcontact.usd.importing.contacts import Collider, ContactBuilder
 from warpcontact.usd.importing.errors import UsdError, shortened
@@ -33,7 +33,7 @@ def build_scene(
     contact_time: float,
     samples: int | str,
     skip_unsupported: bool,
-) -> Scene:
+) -> SceneData:
     """Returns the scene of a stage.
 
     Args:
@@ -63,11 +63,11 @@ class _Assembly:
 
     def scene(
         self, subject: str, material: ContactMaterial | None, contact_time: float, samples: int | str, skip: bool
-    ) -> Scene:
+    ) -> SceneData:
         found = [
             self._collect_errors(one, partial(self._part, one, name)) for one, name in self._named_colliders()
         ]
-        scene = Scene(self.physics["gravity"])
+        scene = SceneData(self.physics["gravity"])
         bodies: list[Body | None] = []
         centers = []
         carried: list[list[tuple[dict[str, Any], ColliderShape]]] = [[] for _ in self.body_names]
@@ -138,7 +138,7 @@ class _Assembly:
 
     def _body(
         self,
-        scene: Scene,
+        scene: SceneData,
         record: dict[str, Any],
         name: str,
         colliders: list[tuple[dict[str, Any], ColliderShape]],

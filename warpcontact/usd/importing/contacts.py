@@ -9,7 +9,7 @@ import numpy as np
 from warpcontact.kernels.shapes import shapes
 from warpcontact.meshes import sample_surface
 from warpcontact.scene.elements import Body, ContactMaterial, Points, Surface
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.shapes import Shape
 from warpcontact.usd.importing.contact_count import averaged_force_scale
 from warpcontact.usd.importing.contact_materials import ContactMaterials, PhysicsMaterial, Side
@@ -65,7 +65,7 @@ class Collider:
         """Returns whether the analytic shape is an instance of one of these classes."""
         return isinstance(self.geometry.form, kinds)
 
-    def add(self, scene: Scene) -> None:
+    def add(self, scene: SceneData) -> None:
         """Adds the shape, or the surface if the collider is a mesh."""
         if self.geometry.form is None:
             self.surface(scene)
@@ -75,7 +75,7 @@ class Collider:
             self.body, self.geometry.form, position, rotation, name=self.name, visible=self.visible
         )
 
-    def surface(self, scene: Scene) -> Surface:
+    def surface(self, scene: SceneData) -> Surface:
         """Returns the surface, which is added at the first call."""
         if self.surface_element is None:
             mesh, is_mesh = self.geometry.surface(self.name), self.geometry.form is None
@@ -90,14 +90,14 @@ class Collider:
             )
         return self.surface_element
 
-    def center_point(self, scene: Scene) -> Points:
+    def center_point(self, scene: SceneData) -> Points:
         """Returns the center of a sphere as a point, which is added at the first call."""
         if self.centre is None:
             name = scene.new_name(f"{self.name}_centre", None)
             self.centre = scene.add_point(self.body, self.geometry.position, name=name)
         return self.centre
 
-    def sample_points(self, scene: Scene, samples: int | str) -> Points:
+    def sample_points(self, scene: SceneData, samples: int | str) -> Points:
         """Returns sample points of the surface, which are added at the first call."""
         if self.points is None:
             surface_element = self.surface(scene)
@@ -120,7 +120,7 @@ class ContactBuilder:
     """
 
     def __init__(
-        self, scene: Scene, material: ContactMaterial | None, contact_time: float, samples: int | str
+        self, scene: SceneData, material: ContactMaterial | None, contact_time: float, samples: int | str
     ) -> None:
         self.scene = scene
         self.samples = samples

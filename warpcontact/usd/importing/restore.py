@@ -17,7 +17,7 @@ from warpcontact.kernels.shapes.base import Shape as ShapeParameters
 from warpcontact.meshes import Mesh, SurfaceSamples
 from warpcontact.scene.contact_range import ContactRange, ExpectedImpact
 from warpcontact.scene.elements import ContactMaterial
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import Catalogue
 from warpcontact.usd.importing.errors import UsdError, shortened
@@ -38,7 +38,7 @@ _ALWAYS_GIVEN = {"point": ("body",), "points": ("body",), "shape": ("body",)}
 
 def restore_scene(
     records: Record, custom_types: Iterable[type[Formula]] = (), subject: str = "the description of the scene"
-) -> Scene:
+) -> SceneData:
     """Returns the scene of a description.
 
     Args:
@@ -60,13 +60,13 @@ class _Restoration:
         self.problems: list[str] = []
         self.objects: dict[str, Any] = {}  # elements, materials and meshes by path
 
-    def scene(self) -> Scene:
+    def scene(self) -> SceneData:
         values = self.root["values"]
         if not isinstance(values["schema"], int) or values["schema"] != SCHEMA:
             version = shortened(values.get("version", "an unknown version"))
             raise self._error([f"{self.root['path']} was written by warpcontact {version}, which is newer"])
         given = {name: values[name] for name in ("gravity", "max_speed", "max_distance") if name in values}
-        scene = self._collect_errors(self.root, lambda: Scene(**given))
+        scene = self._collect_errors(self.root, lambda: SceneData(**given))
         for folder, make in (("Materials", self._contact_material), ("Meshes", self._mesh)):
             for record in self._folder(folder).values():
                 self.objects[record["path"]] = self._collect_errors(record, partial(make, record))
@@ -101,7 +101,7 @@ class _Restoration:
         folder = self.root["children"].get(name)
         return {} if folder is None else folder["children"]
 
-    def _element(self, scene: Scene, record: Record) -> Any:
+    def _element(self, scene: SceneData, record: Record) -> Any:
         kind, name = record["values"].get("kind"), record["values"].get("name")
         if kind not in ADDERS:
             raise ValueError(f"kind must be one of {', '.join(ADDERS)}, got {kind!r}")

@@ -10,7 +10,7 @@ from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.meshes.isolation import Limits, read_sandboxed
 from warpcontact.meshes.readers import USD_SUFFIXES, Unreadable
 from warpcontact.scene.elements import ContactMaterial
-from warpcontact.scene.scene import Scene
+from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.surface_contact import check_amount
 from warpcontact.usd.importing.assemble import build_scene
 from warpcontact.usd.importing.errors import UsdError, shortened
@@ -31,7 +31,7 @@ def scene_from_usd(
     skip_unsupported: bool,
     trusted: bool,
     limits: Limits | None,
-) -> Scene:
+) -> SceneData:
     """Returns the scene of a USD file; arguments and errors as for ``Scene.from_usd``."""
     if material is not None and not isinstance(material, ContactMaterial):
         raise TypeError(f"material must be a wc.ContactMaterial or None, got {material!r}")

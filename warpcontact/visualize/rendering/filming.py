@@ -9,9 +9,9 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from warpcontact.building.scene import Scene
 from warpcontact.files.picture_file import check_path
 from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.scene.scene import Scene
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
 from warpcontact.validation.safe_text import escape_controls, terminal

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from warpcontact.building.scene import Scene
 from warpcontact.drawing.colors import per_environment_number
 from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.run import Run
 from warpcontact.kernels.catalogue.names import suggestion
-from warpcontact.scene.scene import Scene
 from warpcontact.validation.checks import Array
 from warpcontact.visualize.rendering.render_style import environment_numbers
 

@@ -7,10 +7,10 @@ from typing import Any, Unpack
 
 from PIL import Image
 
+from warpcontact.building.scene import Scene
 from warpcontact.files.atomic_files import atomic_file
 from warpcontact.files.picture_file import check_path
 from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.scene.scene import Scene
 from warpcontact.validation import checks
 from warpcontact.visualize.rendering.frame_renderer import Coloring, FrameRenderer
 from warpcontact.visualize.rendering.painter import Picture

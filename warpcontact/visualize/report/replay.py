@@ -7,10 +7,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.building.scene import Scene
 from warpcontact.drawing.colors import GAPS
 from warpcontact.drawing.decimation import evenly, kept_samples
 from warpcontact.drawing.drawing import Drawing, Shape
-from warpcontact.scene.scene import Scene
 from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import count
 from warpcontact.visualize.report.choice import Choice

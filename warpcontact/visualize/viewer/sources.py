@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.building.scene import Scene
 from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.folder import SUMMARY
 from warpcontact.experiment.records import COMMITS
@@ -16,7 +17,6 @@ from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.status import run_status
 from warpcontact.experiment.trust import Trust
 from warpcontact.files.run_folder import RunPath
-from warpcontact.scene.scene import Scene
 from warpcontact.scene.status import FailureCause
 from warpcontact.visualize.viewer.values import rows_of, rows_of_parameters, value_text
 

@@ -1,14 +1,13 @@
-"""The scene: bodies, surfaces, points, shapes, contacts and couplings of one environment; checks all user input.
+"""Data of a scene: bodies, surfaces, points, shapes, contacts and couplings; checks all user input.
 
-``Scene`` combines the mixins of ``add_bodies.py``, ``add_couplings.py``, ``add_shapes.py`` and ``add_particles.py``.
-``model/build.py`` builds models from it.
+``SceneData`` combines the mixins of ``add_bodies.py``, ``add_couplings.py``, ``add_shapes.py`` and
+``add_particles.py``. Users get its subclass ``Scene`` (``building/scene.py``), which builds models and imports USD.
 """
 
 import copy
 import math
-import os
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -42,10 +41,6 @@ from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
 
 if TYPE_CHECKING:
-    from warpcontact.kernels.catalogue.device_model import Formula
-    from warpcontact.meshes.isolation import Limits
-    from warpcontact.model.model import Model
-    from warpcontact.model.split_model import SplitModel
     from warpcontact.scene.contact_coupling import ContactCoupling
 
 _LISTS = (
@@ -68,19 +63,14 @@ MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
 
 @explain_renamed
 @explain_keywords_of
-class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
-    """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` creates many of them.
+class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts):
+    """Bodies, surfaces, shapes, points, contacts and couplings of one environment; base class of ``Scene``.
 
     Args:
         gravity: Acceleration of gravity, world axes [m/s²].
         max_speed: Maximum speed of centers of mass [m/s]. If exceeded, the environment is quarantined.
         max_distance: Maximum distance of centers of mass from the origin [m]. If exceeded, the environment is
             quarantined.
-
-    Attributes:
-        import_warnings: Warnings about the import of a USD stage, see ``from_usd``.
-        suggested_dt: Time step that the NewtonSceneAPI of the imported stage requests [s]; ``None``: none.
-        suggested_iterations: Maximum number of solver iterations per step that it requests; ``None``: none.
     """
 
     def __init__(
@@ -118,56 +108,6 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         }
         texts = [f"{kind}: {', '.join(one.name for one in some)}" for kind, some in kinds.items() if some]
         return f"<Scene of {textwrap.shorten('; '.join(texts) or 'nothing yet', 200, placeholder=' …')}>"
-
-    @classmethod
-    def from_usd(
-        cls,
-        path: str | os.PathLike[str],
-        *,
-        custom_types: "Iterable[type[Formula]]" = (),
-        material: ContactMaterial | None = None,
-        contact_time: float = 0.01,
-        samples: int | str = "vertices",
-        skip_unsupported: bool = False,
-        trusted: bool = False,
-        limits: "Limits | None" = None,
-    ) -> "Scene":
-        """Returns the scene of a USD stage: one that ``export_usd`` wrote, or any stage with UsdPhysics.
-
-        A stage of ``export_usd`` gives the scene that was simulated, bitwise identical. From other stages, rigid
-        bodies, masses, colliders, physics materials, gravity and collision groups are read and converted to SI units
-        with z up; ``docs/usd.md`` describes the rules and the contacts that are created. The file is read in a
-        sandboxed process, as by ``wc.load_mesh``.
-
-        Args:
-            path: A .usd, .usda, .usdc or .usdz file.
-            custom_types: User-defined classes of laws, friction models, springs, motions and shapes that a stage of
-                ``export_usd`` refers to.
-            material: Contact material of all contacts of other stages. Default: from the physics materials.
-            contact_time: Duration of an impact in other stages, from which the contact stiffness is computed [s].
-            samples: Sampling of meshes in contact with meshes in other stages, see ``add_surface_contact``.
-            skip_unsupported: Whether to skip unsupported prims, such as joints, and list them in
-                ``import_warnings``. Default: they raise an error.
-            trusted: Whether to read the file in this process, including referenced files outside of its folder.
-            limits: Limits of memory, time and mesh size.
-
-        Raises:
-            UsdError: If the file cannot be read, is invalid, or has unsupported prims. The message lists all
-                problems with their prim paths.
-            ValueError: If another argument is out of range; the message names it.
-        """
-        from warpcontact.usd.importing.scene_from_stage import scene_from_usd
-
-        return scene_from_usd(
-            path,
-            custom_types=custom_types,
-            material=material,
-            contact_time=contact_time,
-            samples=samples,
-            skip_unsupported=skip_unsupported,
-            trusted=trusted,
-            limits=limits,
-        )
 
     def add_surface(
         self,
@@ -445,14 +385,6 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
             self, surface_a, surface_b, material, samples, seed=seed, sides=sides, name=name, options=options
         )
 
-    def build(
-        self, envs: int = 1, device: str | Sequence[str] = "auto", precision: str = "float32"
-    ) -> "Model | SplitModel":
-        """Builds ``envs`` environments of this scene on one or several devices; see ``warpcontact.model.build.build``."""
-        from warpcontact.model.build import build
-
-        return build(self, envs=envs, device=device, precision=precision)
-
     def element_names(self) -> tuple[str, ...]:
         """Returns the names of all elements."""
         return tuple(self._elements)
@@ -475,12 +407,12 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         self.contacts[self.contacts.index(contact)] = other
         self._elements[other.name] = other
 
-    def restore(self, earlier: "Scene") -> None:
+    def restore(self, earlier: "SceneData") -> None:
         """Removes all elements that were added since the snapshot ``earlier``."""
         for name in (*_LISTS, "_elements"):
             setattr(self, name, getattr(earlier, name))
 
-    def snapshot(self) -> "Scene":
+    def snapshot(self) -> "SceneData":
         """Returns a shallow copy; elements that are added to this scene later are not in it."""
         copied = copy.copy(self)
         for name in _LISTS:
