@@ -12,7 +12,7 @@ import sharded_runs
 
 import warpcontact as wc
 from warpcontact.cli import main
-from warpcontact.visualize.viewer.sources import RunSource
+from warpcontact.visualize.viewer.replay import RunSource
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="links and pipes of POSIX")
 
@@ -261,7 +261,7 @@ CALLS_OF = {
 USERS = (
     "experiment",
     "visualize/report",
-    "visualize/viewer/sources.py",
+    "visualize/viewer/replay.py",
     "cli/commands.py",
     "cli/report.py",
     "cli/run_folders.py",
@@ -278,7 +278,7 @@ ALLOWED = {
     ("experiment/rows_file.py", "loadtxt"),  # of an open file
     ("experiment/trust.py", "mkdir"),  # the state folder of the user
     ("experiment/trust.py", "touch"),
-    ("visualize/report/page.py", "read_text"),  # of the package
+    ("visualize/report/write.py", "read_text"),  # of the package
     ("usd/files.py", "TemporaryDirectory"),  # a new folder with a random name
 }
 

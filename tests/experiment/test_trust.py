@@ -13,7 +13,7 @@ from warpcontact.cli import main
 from warpcontact.experiment import cluster, trust
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.toml import to_toml
-from warpcontact.visualize.viewer.sources import RunSource
+from warpcontact.visualize.viewer.replay import RunSource
 
 LAWS = """
 from pathlib import Path

@@ -8,9 +8,8 @@ import warp as wp
 from warpcontact.drawing.drawing import Drawing, Figure, Shape
 from warpcontact.drawing.triangles import ball
 from warpcontact.visualize.rendering.camera import Camera, direction
-from warpcontact.visualize.rendering.items import place_figure
 from warpcontact.visualize.rendering.painter import Painter
-from warpcontact.visualize.rendering.stage import Stage
+from warpcontact.visualize.rendering.stage import Stage, place_figure
 
 WHITE = np.ones((2, 3))
 PLATE = Shape(

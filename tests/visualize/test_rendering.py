@@ -15,9 +15,8 @@ from warpcontact.drawing.colors import linear
 from warpcontact.drawing.drawing import Shape
 from warpcontact.drawing.triangles import ball
 from warpcontact.meshes import icosphere
-from warpcontact.visualize.rendering.items import Items, place_figure
 from warpcontact.visualize.rendering.painter import Painter, light_of
-from warpcontact.visualize.rendering.stage import Stage
+from warpcontact.visualize.rendering.stage import Items, Stage, place_figure
 
 BLUE, RED = (0.1, 0.2, 0.9), (0.9, 0.1, 0.1)
 

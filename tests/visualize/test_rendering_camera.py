@@ -12,11 +12,11 @@ from warpcontact.kernels.rendering.world import CONE, CYLINDER
 from warpcontact.algebra.poses import transform_points
 from warpcontact.drawing.colors import Scale, per_environment_number
 from warpcontact.drawing.drawing import ContactForces, Curve
-from warpcontact.visualize.rendering import sheet
+from warpcontact.visualize.rendering import frame_renderer
 from warpcontact.visualize.rendering.camera import MARGIN, bounding_spheres, direction, frame_spheres
 from warpcontact.visualize.rendering.frame_renderer import Coloring, FrameRenderer
-from warpcontact.visualize.rendering.items import curve_tube, force_arrows, place_figure
 from warpcontact.visualize.rendering.render_style import RenderStyle
+from warpcontact.visualize.rendering.stage import curve_tube, force_arrows, place_figure
 
 RED = np.array([0.9, 0.1, 0.1])
 
@@ -118,7 +118,7 @@ def test_arrows_are_visible_through_objects(device):
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 16])
 def test_panels_have_equal_size_and_do_not_overlap(count):
-    found = sheet.places(count, 640, 360)
+    found = frame_renderer.panel_places(count, 640, 360)
     assert len(found) == count
     assert len({(right - left, bottom - top) for left, top, right, bottom in found}) == 1
     owner = np.zeros((360, 640), dtype=int)
@@ -131,7 +131,7 @@ def test_panels_have_equal_size_and_do_not_overlap(count):
 
 def test_too_many_panels_are_refused():
     with pytest.raises(ValueError, match="size must be sufficient for 900 panels, got 64 × 64 pixels; together"):
-        sheet.places(900, 64, 64)
+        frame_renderer.panel_places(900, 64, 64)
 
 
 def test_colors_range_from_the_lowest_to_the_highest_value():
@@ -157,9 +157,9 @@ def test_parameter_of_a_set_is_one_number_if_its_items_are_equal():
 def test_labels_are_drawn_at_their_positions():
     picture = np.full((120, 200, 3), 200, dtype=np.uint8)
     before = picture.copy()
-    sheet.write(picture, [(0, 0, 200, 120)], [""], "")
+    frame_renderer.write_labels(picture, [(0, 0, 200, 120)], [""], "")
     np.testing.assert_array_equal(picture, before)
-    sheet.write(picture, [(0, 0, 200, 120)], ["environment 7"], "0.400 s")
+    frame_renderer.write_labels(picture, [(0, 0, 200, 120)], ["environment 7"], "0.400 s")
     changed = (picture != before).any(axis=-1)
     assert changed[:40, :120].any()
     assert changed[90:, :80].any()
@@ -170,8 +170,8 @@ def test_labels_are_drawn_at_their_positions():
 def test_labels_do_not_cover_the_scene(width):
     height = width * 9 // 16
     picture = np.full((height, width, 3), 200, dtype=np.uint8)
-    sheet.write(picture, [(0, 0, width, height)], ["environment 7"], "0.400 s")
-    sheet.write_scale(picture, "touch.law.restitution", Scale(0.1, 0.9))
+    frame_renderer.write_labels(picture, [(0, 0, width, height)], ["environment 7"], "0.400 s")
+    frame_renderer.write_scale(picture, "touch.law.restitution", Scale(0.1, 0.9))
     changed = (picture != 200).any(axis=-1)
     texts, scale = changed[:, : width // 2], changed[:, width // 2 :]
     assert (texts.any() and scale.any()) == (width > 100)  # smaller letters are illegible
@@ -181,7 +181,7 @@ def test_labels_do_not_cover_the_scene(width):
 
 def test_long_name_of_color_scale_does_not_cover_the_scene():
     picture = np.full((180, 320, 3), 200, dtype=np.uint8)
-    sheet.write_scale(picture, "n" * 10_000, Scale(-1.23e-5, 4.56e10))
+    frame_renderer.write_scale(picture, "n" * 10_000, Scale(-1.23e-5, 4.56e10))
     changed = (picture != 200).any(axis=-1)
     assert changed.any()
     assert not changed[:, :150].any()

@@ -14,9 +14,8 @@ import report_runs
 import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.validation.number_format import quantity, scaled
-from warpcontact.visualize.report import chart, replay, series
-from warpcontact.visualize.report import page as page_of
-from warpcontact.visualize.viewer.sources import RunSource
+from warpcontact.visualize.report import chart, replay, series, write
+from warpcontact.visualize.viewer.replay import RunSource
 
 pytestmark = pytest.mark.installed
 
@@ -407,7 +406,7 @@ def test_bundled_report_script_matches_its_sources():
     sources = sorted(path.relative_to(WEB).as_posix() for path in (WEB / "src").glob("*.js"))
     for name in ("build.mjs", "package-lock.json", "package.json", *sources):
         digest.update(f"{name}\n".encode() + (WEB / name).read_bytes())
-    banner = page_of.asset(page_of.SCRIPT).splitlines()[0]
+    banner = write.asset(write.SCRIPT).splitlines()[0]
     assert f"sources sha256 {digest.hexdigest()}" in banner, "run: cd web && npm ci && npm run build"
     version = json.loads((WEB / "package.json").read_text())["dependencies"]["three"]
     assert f"three.js {version}," in banner
@@ -415,7 +414,7 @@ def test_bundled_report_script_matches_its_sources():
 
 
 def test_report_script_contains_no_eval_and_no_inner_html():
-    script = page_of.asset(page_of.SCRIPT)
+    script = write.asset(write.SCRIPT)
     for word in (r"\beval\(", r"new Function\b", r"\.innerHTML\s*=", "insertAdjacentHTML", "document.write"):
         assert not re.search(word, script), word
     assert "</script" not in script.lower()
@@ -424,7 +423,7 @@ def test_report_script_contains_no_eval_and_no_inner_html():
 
 @functools.cache
 def colours():
-    style = page_of.asset(page_of.STYLE)
+    style = write.asset(write.STYLE)
     blocks = re.findall(r"\{([^{}]*--page:[^{}]*)\}", style)
     return [dict(re.findall(r"(--[\w-]+):\s*([^;]+);", block)) for block in blocks]
 

@@ -17,20 +17,9 @@ from warpcontact.model.health import Health
 from warpcontact.scene.contact_coupling_report import CouplingReport
 from warpcontact.scene.status import EnvironmentStatus, FailureCause
 from warpcontact.validation import number_format
-from warpcontact.visualize.report import (
-    chart,
-    couplings,
-    ended,
-    environments,
-    loops,
-    markup,
-    meshes,
-    outcomes,
-    replay,
-    series,
-)
-from warpcontact.visualize.report.choice import choose
-from warpcontact.visualize.report.columns import columns_of
+from warpcontact.visualize.report import chart, contacts, environments, markup, outcomes, packing, replay, series
+from warpcontact.visualize.report.environments import columns_of
+from warpcontact.visualize.report.outcomes import choose
 from warpcontact.visualize.report.packing import Pack
 
 
@@ -119,14 +108,14 @@ def test_large_meshes_are_simplified_in_place():
     corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1)
     faces = np.concatenate([corner[:, None] + [0, 1, n], corner[:, None] + [1, n + 1, n]]).astype(np.int32)
     colors = np.zeros((len(faces), 3))
-    drawn = meshes.drawable_shape(Shape(vertices, faces, colors), 1)
-    assert len(drawn.colors) == len(drawn.faces) <= meshes.TRIANGLES < len(faces)
+    drawn = packing.drawable_shape(Shape(vertices, faces, colors), 1)
+    assert len(drawn.colors) == len(drawn.faces) <= packing.TRIANGLES < len(faces)
     a, b, c = (drawn.vertices[drawn.faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
     fine = [vertices[faces[:, i]] for i in range(3)]
     expected = np.linalg.norm(np.cross(fine[1] - fine[0], fine[2] - fine[0]), axis=1).sum() / 2
     assert area == pytest.approx(expected, rel=0.02)  # points move by up to one of about 300 cells along a side
-    assert len(meshes.drawable_shape(ball(), 1).faces) > len(meshes.drawable_shape(ball(), 1000).faces)
+    assert len(packing.drawable_shape(ball(), 1).faces) > len(packing.drawable_shape(ball(), 1000).faces)
 
 
 @pytest.mark.parametrize(
@@ -249,12 +238,12 @@ def test_report_describes_contact_couplings():
         impact=None,
         first_env=0,
     )
-    content = couplings.section([report])
+    content = contacts.couplings_section([report])
     expected = ["<bdi>&lt;b&gt;fender</bdi>", "2 of 3", "−0.002 to 0.01", "0.2 to 0.3", "1", "–"]
     assert cells(content)[1] == expected
     none = dataclasses.replace(report, minimum_distance=np.full(3, np.nan))
-    assert cells(couplings.section([none]))[1][1:4] == ["0 of 3", "–", "–"]
-    assert couplings.section([]) is None
+    assert cells(contacts.couplings_section([none]))[1][1:4] == ["0 of 3", "–", "–"]
+    assert contacts.couplings_section([]) is None
 
 
 def test_loop_drawing_and_caption_include_late_peaks():
@@ -270,11 +259,11 @@ def test_loop_drawing_and_caption_include_late_peaks():
         },
         coords={"time": seconds, "env": [3]},
     )
-    content = loops.section(data, [3])
+    content = contacts.loops_section(data, [3])
     assert "largest force 777.77\u202fN at 0.9\u202fs in environment 3; largest penetration 1\u202fmm" in content
     path = re.search(r'd="M([^"]*)" class="loop"', content)[1]
     up = np.array(path.split(), dtype=float)[1::2]
-    assert len(up) <= loops.SAMPLES
+    assert len(up) <= contacts.SAMPLES
     assert up.min() == pytest.approx(chart.vertical(0.0, 1.05 * 777.77, "N").place(777.77), abs=0.06)
 
 
@@ -289,12 +278,12 @@ def test_loop_of_a_short_impact_is_kept_before_a_long_rest():
         },
         coords={"time": 1e-4 * np.arange(len(depth)), "env": [0]},
     )
-    (loop,) = loops._loops(data, "touch.penetration", "touch.normal_force")
+    (loop,) = contacts._loops(data, "touch.penetration", "touch.normal_force")
 
     def area(depth, force):
         return np.trapezoid(force, depth)
 
-    assert len(loop.force) <= loops.SAMPLES
+    assert len(loop.force) <= contacts.SAMPLES
     assert area(loop.penetration, loop.force) == pytest.approx(area(depth, force), rel=1e-2)
 
 
@@ -324,14 +313,14 @@ def test_report_lists_failed_stopped_and_reset_environments():
     )
     stops = {"flag_values": [0, 1], "flag_meanings": "landed <tipped>"}
     outcome = xr.Dataset({"stopped_by": ("env", [-1, -1, 1], stops), "resets": ("env", [0, 0, 3])})
-    content = ended.section(health, outcome)
+    content = environments.quarantine_section(health, outcome)
     rows = cells(content)
     assert rows[1][1:] == ["0.25\u202fs", "a body exceeded scene.max_distance"]
     assert 'data-replay="1"' in rows[1][0]
     assert rows[-1] == ["<bdi>&lt;tipped&gt;</bdi>", "1"]
     assert "1 environment failed and restarted, 3 times in total." in content
     good = Health.of(np.zeros(2, int) + EnvironmentStatus.ACTIVE, np.zeros(2, int), np.ones(2))
-    assert "No environment failed." in ended.section(good, outcome[["resets"]] * 0)
+    assert "No environment failed." in environments.quarantine_section(good, outcome[["resets"]] * 0)
 
 
 # A million environments
@@ -361,7 +350,7 @@ def test_report_of_a_million_environments_has_a_capped_table(million):
     health = Health.of(million["status"].values, np.ones(10**6, int), np.zeros(10**6), million["env"].values)
     choice = choose(None, million["env"].values, health, spreads)
     params = million[["place"]].rename(place="start")
-    content, data = environments.section(params, million, [*choice.envs, *map(int, health.frozen)])
+    content, data = environments.table_section(params, million, [*choice.envs, *map(int, health.frozen)])
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert more == 0

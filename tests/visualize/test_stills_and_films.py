@@ -14,8 +14,8 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.experiment import plan, shards
 from warpcontact.experiment.store import Ledger
-from warpcontact.visualize.rendering import filming, writers
-from warpcontact.visualize.rendering.records import Source
+from warpcontact.visualize.rendering import pictures, writers
+from warpcontact.visualize.rendering.pictures import Source
 
 pytestmark = pytest.mark.installed
 
@@ -306,7 +306,7 @@ def test_interrupted_film_keeps_the_existing_file(run, tmp_path, monkeypatch):
     wc.film(run, file, progress=False, **SMALL)
     before = file.read_bytes()
     monkeypatch.setattr(
-        filming.FrameRenderer, "picture", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt)
+        pictures.FrameRenderer, "picture", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt)
     )
     with pytest.raises(KeyboardInterrupt):
         wc.film(run, file, progress=False, **SMALL)

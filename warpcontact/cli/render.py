@@ -129,24 +129,21 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _draw(arguments: argparse.Namespace, file: Path, found: Any) -> None:
-    from warpcontact.visualize.rendering.filming import shoot
+    from warpcontact.visualize.rendering.pictures import film, still
     from warpcontact.visualize.rendering.render_style import RenderStyle
-    from warpcontact.visualize.rendering.still import still
 
-    given = {name: value for name, value in vars(arguments).items() if name in RenderStyle.__dataclass_fields__}
-    style = RenderStyle(**{**given, "forces": arguments.forces is not False})
+    style = {name: value for name, value in vars(arguments).items() if name in RenderStyle.__dataclass_fields__}
+    style["forces"] = arguments.forces is not False
     time = arguments.time
     if file.suffix.lower() in FILMS:
         fps = OF_FILMS["fps"] if arguments.fps is None else arguments.fps
         speed = OF_FILMS["speed"] if arguments.speed is None else arguments.speed
-        film = shoot(
-            found, file, env=arguments.env, time=time, fps=fps, speed=speed, scene=None, progress=None, style=style
-        )
-        envs, forces, count, partial = film.envs, film.forces, len(film.times), film.partial
-        shown = f"{film.times[0]:g} to {film.times[-1]:g} s in {count} pictures, {film.duration:.3g} s long"
+        made = film(found, file, env=arguments.env, time=time, fps=fps, speed=speed, **style)
+        envs, forces, count, partial = made.envs, made.forces, len(made.times), made.partial
+        shown = f"{made.times[0]:g} to {made.times[-1]:g} s in {count} pictures, {made.duration:.3g} s long"
     else:
         wanted = time[0] if time else None
-        picture = still(found, file, env=arguments.env, time=wanted, scene=None, style=style)
+        picture = still(found, file, env=arguments.env, time=wanted, scene=None, style=RenderStyle(**style))
         envs, forces, shown, partial = picture.envs, picture.forces, f"{picture.time:g} s", picture.partial
         if wanted is not None and abs(picture.time - wanted) > 1.0e-9 * max(abs(wanted), 1.0):
             shown += f", the frame nearest to {wanted:g} s"

@@ -84,7 +84,7 @@ def _one(heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, ove
         law_panels.draw_force(panels[0, 1], case, scales, color=shade)
     law_panels.label_loops(panels[0, 0], scales, "force over penetration")
     law_panels.label_forces(panels[0, 1], cases, scales, "force over time")
-    law_panels.draw_restitution(panels[1, 0], law, cases["restitution"].values, colors)
+    law_panels.draw_restitution(panels[1, 0], law, cases["restitution"].values.tolist(), colors)
     for shade, prescribed in zip(colors, over_speed["restitution"].values, strict=False):
         values = over_speed["effective_restitution"].isel(law=0).sel(restitution=prescribed)
         law_panels.draw_over_speed(panels[1, 1], values, color=shade)

@@ -1,6 +1,5 @@
 """Stills and films of recordings by ray tracing with Warp, on a CPU or a GPU."""
 
-from warpcontact.visualize.rendering.filming import Film, film
-from warpcontact.visualize.rendering.still import render
+from warpcontact.visualize.rendering.pictures import Film, film, render
 
 __all__ = ["Film", "film", "render"]

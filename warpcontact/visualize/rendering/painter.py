@@ -14,17 +14,13 @@ from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light
 from warpcontact.system.compilation import compile_as_launched
 from warpcontact.system.resources import available_threads
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.rendering.camera import Camera, direction
-from warpcontact.visualize.rendering.items import Items, turned_axes
-from warpcontact.visualize.rendering.stage import Stage
+from warpcontact.visualize.rendering.camera import Camera, direction, extend_planes
+from warpcontact.visualize.rendering.stage import Items, Stage
 
 Picture = NDArray[np.uint8]
 
 # Sun: azimuth to the left of the camera and elevation [rad], and radius of its disk at distance 1.
 _ASIDE, _HEIGHT, _SPREAD = math.radians(45.0), math.radians(50.0), 0.035
-# Distances from the target at which infinite planes begin to fade into the background and have faded completely, in
-# half heights of the view, or, if larger, in distances of the target from the plane.
-_FADE = (3.0, 12.0)
 # Approximate number of grid lines in half the height of the view.
 _LINES = 3.0
 # Number of picture rows per CPU work item.
@@ -91,17 +87,6 @@ class Painter:
         return pixels.numpy().reshape(height, width, 3)
 
 
-def extend_planes(items: Sequence[Items], camera: Camera) -> tuple[list[Items], tuple[float, float]]:
-    """Returns items with infinite planes extended as far as they are visible, and the fade distances.
-
-    Planes begin to fade at the first distance from the target and have faded at the second, in half view heights.
-    """
-    unit = camera.reach
-    scale = max([1.0, *(_farthest(group, camera.target) / unit for group in items if group.infinite)])
-    begin, end = (scale * distance for distance in _FADE)
-    return [group.extend(camera.target, end * unit) for group in items], (begin, end)
-
-
 def _view(camera: Camera, unit: float, width: int, height: int, samples: int) -> View:
     view = View()
     view.right, view.up, view.forward = (wp.vec3(*axis.tolist()) for axis in camera.axes)
@@ -109,12 +94,6 @@ def _view(camera: Camera, unit: float, width: int, height: int, samples: int) ->
     view.tangent = math.tan(0.5 * camera.angle)
     view.width, view.height, view.samples = width, height, samples
     return view
-
-
-def _farthest(planes: Items, point: Array) -> float:
-    """Returns the largest distance of a point from planes z = 0 in their own frames [m]."""
-    normals = turned_axes(planes.rotations)[:, 2]
-    return float(np.abs(((point - planes.positions) * normals).sum(axis=1)).max(initial=0.0))
 
 
 def _grid(camera: Camera, height: int) -> Grid:

@@ -1,23 +1,185 @@
-"""Device data of a drawing: its meshes, uploaded once, and the placed items of each view."""
+"""Content of a view: placed shapes, lines and arrows, and their data on the device."""
 
+import functools
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.poses import shortest_rotations, transform_points
 from warpcontact.drawing.colors import linear
-from warpcontact.drawing.drawing import Drawing, Shape
+from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
 from warpcontact.drawing.triangles import ball
-from warpcontact.kernels.rendering.world import World
+from warpcontact.kernels.rendering.world import CONE, CYLINDER, MESH, SPHERE, World
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.rendering.items import Items, bounds
+
+# Head of an arrow: largest fraction of the arrow length, and width in shaft widths.
+HEAD_LENGTH = 0.45
+HEAD_WIDTHS = 2.4
+# Length of the head divided by its width.
+HEAD_SLENDER = 1.5
+# Bounding boxes of the unit primitives in their own frames: center and half lengths.
+_BOXES = {
+    SPHERE: ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+    CYLINDER: ((0.0, 0.0, 0.5), (1.0, 1.0, 0.5)),
+    CONE: ((0.0, 0.0, 0.5), (1.0, 1.0, 0.5)),
+}
 
 # Relative margin of bounding boxes, so that rays hit flat items despite rounding.
 _BOX_MARGIN = 1.0e-4
 # Items smaller than this, in units of the view, are dropped because they are invisible.
 _SMALLEST = 1.0e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Items:
+    """Placed shapes of one kind, with world position = position + rotation · (scale ∘ p) [m].
+
+    Attributes:
+        kind: MESH, SPHERE, CYLINDER or CONE.
+        shape: Mesh, if ``kind`` is MESH.
+        positions: Origins, (n, 3) [m].
+        rotations: Quaternions, (n, 4), x, y, z, w.
+        scales: Factors along the axes, (n, 3), positive.
+        colors: sRGB colors, (n, 3) in 0…1.
+        has_grid: Whether to draw a grid on level faces.
+        infinite: Whether they represent infinite planes, z = 0, which fade into the background far away.
+    """
+
+    kind: int
+    shape: Shape | None
+    positions: Array
+    rotations: Array
+    scales: Array
+    colors: Array
+    has_grid: bool = False
+    infinite: bool = False
+
+    def boxes(self) -> tuple[Array, Array]:
+        """Returns centers and half lengths of axis-aligned bounding boxes, world, (n, 3) [m]."""
+        if self.shape is None:
+            middle, half = (np.array(values) for values in _BOXES[self.kind])
+        else:
+            middle, half = bounds(self.shape)
+        centers = transform_points((self.scales * middle)[:, None], self.positions, self.rotations)[:, 0]
+        axes = self.scales[:, :, None] * turned_axes(self.rotations)
+        if self.kind == SPHERE:
+            return centers, np.linalg.norm(axes, axis=1)
+        return centers, np.abs(half[:, None] * axes).sum(axis=1)
+
+    def extend(self, point: Array, reach: float) -> "Items":
+        """Returns infinite planes as squares centered at the projection of a point [m].
+
+        Half their side is at least ``reach`` [m]. Other items are returned unchanged.
+        """
+        if not self.infinite or self.shape is None:
+            return self
+        normals = turned_axes(self.rotations)[:, 2]
+        above = ((point - self.positions) * normals).sum(axis=1, keepdims=True)
+        half = float(bounds(self.shape)[1].max())
+        return replace(self, positions=point - above * normals, scales=np.maximum(self.scales, reach / half))
+
+
+@functools.lru_cache(maxsize=1024)
+def bounds(shape: Shape) -> tuple[Array, Array]:
+    """Returns center and half lengths of the bounding box of a mesh, in its own frame [m]."""
+    low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+def turned_axes(rotations: Array) -> Array:
+    """Returns the images of the three axes under rotations, (n, axis, 3)."""
+    count = len(rotations)
+    axes = np.broadcast_to(np.eye(3), (count, 3, 3))
+    return transform_points(axes, np.zeros((count, 3)), rotations)
+
+
+def place_figure(
+    figure: Figure,
+    record: int,
+    row: int,
+    *,
+    color: Array | None = None,
+    has_grid: bool = False,
+    least: float = 0.0,
+) -> Items:
+    """Returns the copies of a figure in an environment that are present and finite.
+
+    Args:
+        figure: Figure to place.
+        record: Index of the record in the drawing.
+        row: Index of the environment in the drawing.
+        color: RGB that replaces the color of the figure.
+        has_grid: Whether to draw a grid on it.
+        least: Smallest radius of points [m].
+    """
+    time = record if len(figure.positions) > 1 else 0
+    positions, scales = figure.positions[time, row], figure.scales[row]
+    rotations = figure.orientations[record if len(figure.orientations) > 1 else 0, row]
+    if figure.kind == "point":
+        scales = np.maximum(scales, least)
+    kind, shape = (SPHERE, None) if figure.shape is ball() else (MESH, figure.shape)
+    finite = np.isfinite(np.concatenate([positions, rotations, scales], axis=1)).all(axis=1)
+    good = np.broadcast_to(figure.present[row], finite.shape) & finite & (scales > 0.0).all(axis=1)
+    count = int(good.sum())
+    colors = np.broadcast_to(figure.color if color is None else color, (count, 3))
+    return Items(
+        kind, shape, positions[good], rotations[good], scales[good], colors, has_grid, figure.kind == "plane"
+    )
+
+
+def curve_tube(curve: Curve, record: int, row: int, width: float) -> list[Items]:
+    """Returns a curve as a tube of diameter ``width`` [m]: cylinders and spheres; empty if it is not shown."""
+    points = curve.points[record if len(curve.points) > 1 else 0, row]
+    shown = curve.shown[record if len(curve.shown) > 1 else 0, row]
+    if not shown or not np.isfinite(points).all():
+        return []
+    joints = np.full((len(points), 3), 0.5 * width)
+    upright = np.broadcast_to((0.0, 0.0, 0.0, 1.0), (len(points), 4))
+    spheres = Items(SPHERE, None, points, upright, joints, np.broadcast_to(curve.color, points.shape))
+    lengths = np.diff(points, axis=0)
+    return [spheres, _between(CYLINDER, points[:-1], lengths, 0.5 * width, curve.color)]
+
+
+def force_arrows(contact: ContactForces, record: int, row: int, scale: float, width: float) -> list[Items]:
+    """Returns the forces of a contact as arrows from the points where they act, ``scale`` [m/N] long.
+
+    ``width`` is the shaft diameter [m]. Short arrows are scaled down as a whole.
+    """
+    starts, arrows = contact.points[record, row], scale * contact.forces[record, row]
+    lengths = np.linalg.norm(arrows, axis=-1)
+    good = np.isfinite(starts).all(axis=-1) & np.isfinite(lengths) & (lengths > 0.0)
+    starts, arrows, lengths = starts[good], arrows[good], lengths[good, None]
+    head_width = HEAD_WIDTHS * width
+    heads = np.minimum(HEAD_SLENDER * head_width, np.maximum(HEAD_LENGTH * lengths, 1.0e-300))
+    shafts = arrows * (1.0 - heads / np.maximum(lengths, 1.0e-300))
+    # Heads of short arrows shrink in all directions.
+    thin = heads[:, 0] / (HEAD_SLENDER * head_width)
+    return [
+        _between(CYLINDER, starts, shafts, 0.5 * width * thin, contact.color),
+        _between(CONE, starts + shafts, arrows - shafts, 0.5 * head_width * thin, contact.color),
+    ]
+
+
+def _between(kind: int, starts: Array, lengths: Array, radius: Array | float, color: Array) -> Items:
+    """Returns cylinders or cones along vectors ``lengths`` (n, 3) from ``starts`` (n, 3) [m]."""
+    size = np.linalg.norm(lengths, axis=-1)
+    radii = np.broadcast_to(radius, size.shape)
+    good = (size > 0.0) & (radii > 0.0)
+    starts, lengths, size, radii = starts[good], lengths[good], size[good], radii[good]
+    rotations = shortest_rotations((0.0, 0.0, 1.0), lengths / size[:, None])
+    scales = np.stack([radii, radii, size], axis=-1)
+    return Items(kind, None, starts, rotations, scales, np.broadcast_to(color, starts.shape))
+
+
+def is_static(figure: Figure) -> bool:
+    """Returns whether a figure never moves and is the same in all environments."""
+    arrays: Sequence[NDArray[np.float64]] = (figure.positions, figure.orientations)
+    static = all(len(values) == 1 and bool((values == values[:, :1]).all()) for values in arrays)
+    return static and bool((figure.scales == figure.scales[:1]).all()) and bool(figure.present.all())
 
 
 class Stage:

@@ -1,12 +1,21 @@
-"""Writes the report of a run from its folder."""
+"""Writes the report of a run from its folder as one HTML page.
 
+A content security policy allows only the script and the style of the page.
+"""
+
+import base64
+import hashlib
 from collections.abc import Iterable
+from dataclasses import dataclass, field
+from importlib import resources
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from warpcontact._version import __version__
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.records import RunDataError
 from warpcontact.experiment.run import Run, open_run
@@ -17,15 +26,108 @@ from warpcontact.files.atomic_files import atomic_file, check_writable
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.scene.contact_coupling_report import CouplingReport
 from warpcontact.validation.checks import entries
-from warpcontact.visualize.report import couplings, ended, environments, facts, loops, outcomes, series, viewer
-from warpcontact.visualize.report.choice import Choice, choose
-from warpcontact.visualize.report.markup import Markup, element, joined, short
-from warpcontact.visualize.report.page import Page, Section
-from warpcontact.visualize.report.replay import Replay, replay_of
+from warpcontact.visualize.report import chart, contacts, environments, facts, outcomes, series
+from warpcontact.visualize.report.markup import Markup, data_block, element, joined, name, short
+from warpcontact.visualize.report.outcomes import Choice, choose
+from warpcontact.visualize.report.replay import Replay, replay_of, replay_section
+
+#: Files next to this module: the script built from ``web/``, and the style sheet.
+SCRIPT = "page.js"
+STYLE = "page.css"
 
 #: Name of the file in the folder of the run.
 REPORT = "report.html"
 SUFFIXES = (".html", ".htm")
+
+
+@dataclass(frozen=True)
+class Section:
+    """Section of the page.
+
+    Attributes:
+        key: Anchor for links.
+        title: Title.
+        content: HTML content.
+    """
+
+    key: str
+    title: str
+    content: Markup
+
+
+@dataclass
+class Page:
+    """HTML page.
+
+    Attributes:
+        title: Title.
+        head: Content below the title.
+        sections: Sections of the page.
+        data: Content of the data blocks for the script, by name.
+    """
+
+    title: str
+    head: Markup
+    sections: list[Section] = field(default_factory=list)
+    data: dict[str, Any] = field(default_factory=dict)
+
+    def html(self) -> str:
+        """Returns the complete file content."""
+        script, style = asset(SCRIPT), asset(STYLE)
+        policy = (
+            f"default-src 'none'; script-src '{_sha(script)}'; style-src '{_sha(style)}'; img-src data:; "
+            "base-uri 'none'; form-action 'none'"
+        )
+        head = joined(
+            [
+                element("meta", charset="utf-8"),
+                element("meta", http_equiv="Content-Security-Policy", content=policy),
+                element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+                element("meta", name="color-scheme", content="light dark"),
+                element("meta", name="generator", content=f"warpcontact {__version__}"),
+                element("meta", name="referrer", content="no-referrer"),
+                element("title", f"{short(self.title, 80)} – warpcontact"),
+                element("link", rel="icon", href="data:,"),
+                Markup(f"<style>{style}</style>"),
+            ]
+        )
+        blocks = joined(data_block(f"data-{key}", content) for key, content in self.data.items())
+        body = element("body", self._body(), blocks, Markup(f"<script>{script}</script>"))
+        return f"<!DOCTYPE html>\n{element('html', element('head', head), body, lang='en')}\n"
+
+    def _body(self) -> Markup:
+        links = [element("a", one.title, href=f"#{one.key}") for one in self.sections]
+        theme = element(
+            "button",
+            "Dark",
+            id="theme",
+            type="button",
+            class_="quiet",
+            aria_pressed="false",
+            title="Light or dark",
+        )
+        header = element(
+            "header",
+            element("div", element("h1", name(self.title, 80)), theme, class_="title"),
+            self.head,
+            element("nav", joined(links), aria_label="Sections"),
+        )
+        parts = [element("section", element("h2", one.title), one.content, id=one.key) for one in self.sections]
+        footer = element(
+            "footer",
+            f"Created by warpcontact {__version__}. Drawn with three.js, © three.js authors, MIT License.",
+        )
+        return joined([chart.definitions(), header, element("main", joined(parts)), footer])
+
+
+def asset(file: str) -> str:
+    """Returns the text of a file of the page."""
+    return resources.files(__package__).joinpath(file).read_text(encoding="utf-8")
+
+
+def _sha(text: str) -> str:
+    digest = hashlib.sha256(text.encode("utf-8")).digest()
+    return f"sha256-{base64.b64encode(digest).decode('ascii')}"
 
 
 @explain_keywords
@@ -96,7 +198,7 @@ def _page(run: Run, requested: Iterable[int] | None) -> Page:
             page.sections.append(Section(key, heading, content))
 
     finished = outcome.sizes["env"]
-    add("replay-section", "Replay", viewer.section(replay))
+    add("replay-section", "Replay", replay_section(replay))
     add("outcomes", "Outcomes", outcomes.section(spreads, more_outcomes, finished, len(health.frozen)))
     if shown is not None and finished:
         curves, more_sensors = series.make_curves(outcome, shown, choice.envs)
@@ -106,12 +208,12 @@ def _page(run: Run, requested: Iterable[int] | None) -> Page:
             "Over time",
             series.section(curves, more_sensors, finished, shown.sizes["time"], health),
         )
-        add("loops", "Force over penetration", loops.section(shown, choice.envs))
-    add("couplings", "Contact couplings", couplings.section(reports))
-    add("failed", "Quarantine", ended.section(health, outcome))
+        add("loops", "Force over penetration", contacts.loops_section(shown, choice.envs))
+    add("couplings", "Contact couplings", contacts.couplings_section(reports))
+    add("failed", "Quarantine", environments.quarantine_section(health, outcome))
     if finished:
         first = [*choice.envs, *(int(env) for env in health.frozen)]
-        content, data = environments.section(run.params, outcome, first)
+        content, data = environments.table_section(run.params, outcome, first)
         page.data["environments"] = data
         add("environments", "Environments", content)
     add("run", "What was run", facts.section(run.folder, run.summary, status))

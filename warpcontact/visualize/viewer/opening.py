@@ -17,7 +17,7 @@ from warpcontact.stepping.recording import Recording
 from warpcontact.stepping.simulation import Simulation
 
 if TYPE_CHECKING:
-    from warpcontact.visualize.viewer.viewer_thread import ViewerThread
+    from warpcontact.visualize.viewer.page import ViewerThread
 
 PORT = 8080
 #: Default number of environments of an experiment that is stepped live.
@@ -113,7 +113,7 @@ def view(
     """
     if importlib.util.find_spec("viser") is None:
         raise ImportError("a live view needs viser, which is not installed: pip install 'warpcontact[view]'")
-    from warpcontact.visualize.viewer.viewer_thread import FASTEST, SLOWEST
+    from warpcontact.visualize.viewer.page import FASTEST, SLOWEST
 
     if not (isinstance(speed, int | float) and math.isfinite(speed) and SLOWEST <= speed <= FASTEST):
         raise ValueError(f"speed must be from {SLOWEST:g} to {FASTEST:g}, got {speed!r}")
@@ -142,8 +142,7 @@ def _make_viewer_thread(
     """Makes the viewer thread of the page. The server is opened last, after all input has been read."""
     from warpcontact.visualize.viewer.live import Live
     from warpcontact.visualize.viewer.page import LocalServer
-    from warpcontact.visualize.viewer.replay import Replay
-    from warpcontact.visualize.viewer.sources import RecordingSource, RunSource, Source
+    from warpcontact.visualize.viewer.replay import RecordingSource, Replay, RunSource, Source
 
     if isinstance(target, Experiment):
         settings = target.settings

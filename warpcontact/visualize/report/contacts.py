@@ -1,16 +1,17 @@
-"""Report section on hysteresis loops: force over penetration of contacts."""
+"""Report sections on contacts: force over penetration, and contact couplings."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
 from warpcontact.drawing.decimation import kept_samples
+from warpcontact.scene.contact_coupling_report import CouplingReport
 from warpcontact.validation.checks import Array
-from warpcontact.validation.number_format import quantity, several
+from warpcontact.validation.number_format import count, number, quantity, several
 from warpcontact.visualize.report import chart
-from warpcontact.visualize.report.markup import Markup, element, joined, name
+from warpcontact.visualize.report.markup import Markup, element, joined, name, table
 
 CHARTS = 6
 # Largest number of samples per loop.
@@ -53,7 +54,7 @@ def contact_sensors(series: xr.Dataset) -> list[tuple[str, str, str]]:
     return found
 
 
-def section(series: xr.Dataset | None, chosen: list[int]) -> Markup | None:
+def loops_section(series: xr.Dataset | None, chosen: list[int]) -> Markup | None:
     """Returns the section of the page; ``None`` if there are no such contacts."""
     pairs = [] if series is None else contact_sensors(series)
     if series is None or not pairs:
@@ -157,3 +158,45 @@ def _picture(title: str, loops: list[Loop], items: int) -> Markup:
     )
     drawing = chart.chart(x, y, marks, about, "penetration", data_loops=True)
     return element("figure", caption, drawing, element("p", sentences, class_="note"), class_="chart")
+
+
+def couplings_section(reports: Sequence[CouplingReport]) -> Markup | None:
+    """Returns the section of the page; ``None`` if there are no contact couplings."""
+    if not reports:
+        return None
+    rows = []
+    expected = []
+    for report in reports:
+        reached = report.in_range
+        closest = report.minimum_distance[reached]
+        area = report.effective_area[reached]
+        rows.append(
+            (
+                name(report.name),
+                f"{count(int(reached.sum()))} of {count(len(reached))}",
+                _span(closest),
+                _span(area),
+                count(int(report.touched.sum())),
+                "–" if report.impact is None else count(int(report.passed.sum())),
+            )
+        )
+        if report.impact is not None:
+            expected_gap, expected_area = quantity(report.impact.closest, "m"), quantity(report.impact.area, "m²")
+            sentences = f": the range was designed for a closest distance of {expected_gap} and an area of {expected_area}."
+            expected.append(element("p", name(report.name), sentences, class_="note"))
+    head = (
+        "coupling",
+        "in range",
+        "smallest distance [m]",
+        "largest area [m²]",
+        "in contact",
+        "closer than expected",
+    )
+    return joined([table(head, rows, numbers=range(1, 6)), *expected])
+
+
+def _span(values: np.ndarray) -> str:
+    if not len(values):
+        return "–"
+    low, high = number(values.min()), number(values.max())
+    return low if low == high else f"{low} to {high}"
