@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from warpcontact.kernels.laws.clamped_dashpot import restitution_of_damping_ratio
 from warpcontact.kernels.laws.hunt_crossley import restitution_of_damping_factor
-from warpcontact.kernels.laws.kuwabara_kono import restitution_of_viscosity
+from warpcontact.kernels.laws.linear_dashpot import restitution_of_damping_ratio
+from warpcontact.kernels.laws.nonlinear_dashpot import restitution_of_viscosity
 
 import warpcontact as wc
 

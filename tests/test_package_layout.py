@@ -151,7 +151,10 @@ def test_import_for_a_simulation_loads_no_optional_package(tmp_path):
 # Modules that a first step does not need. Warp parses all functions of imported kernels.
 NEEDLESS = (
     *("matplotlib", "numpy.f2py", "pandas", "pxr", "pyarrow", "ray", "scipy", "tqdm", "trimesh", "xarray", "zarr"),
-    *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "friction.lugre", "laws.tsuji")),
+    *(
+        f"warpcontact.kernels.{part}"
+        for part in ("couplings.catenary", "friction.bristle", "laws.nonlinear_dashpot")
+    ),
     *(f"warpcontact.kernels.shapes.{part}" for part in ("curvature", "derivatives", "narrow_phase")),
     *("warpcontact.kernels.shapes.sphere", "warpcontact.kernels.shapes.superellipsoid"),
     *("warpcontact.kernels.joints.prescribed", "warpcontact.kernels.outcomes.catalogue"),

@@ -1,4 +1,4 @@
-"""Normal-force laws, one file each. `_CATALOGUE` adds a law to the catalogue and to all law tests."""
+"""Normal force laws, one file per family. `_CATALOGUE` adds a law to the catalogue and to all law tests."""
 
 from typing import TYPE_CHECKING
 
@@ -12,72 +12,70 @@ from warpcontact.kernels.laws.undamped import (
 )
 
 if TYPE_CHECKING:
-    from warpcontact.kernels.laws.anagnostopoulos import Anagnostopoulos
-    from warpcontact.kernels.laws.carvalho_martins import CarvalhoMartins
-    from warpcontact.kernels.laws.contact_range import ContactRange
-    from warpcontact.kernels.laws.elastic_foundation import ElasticFoundation
-    from warpcontact.kernels.laws.flores import Flores
-    from warpcontact.kernels.laws.gonthier import Gonthier
-    from warpcontact.kernels.laws.herbert_mcwhannell import HerbertMcWhannell
-    from warpcontact.kernels.laws.hertz import Hertz
-    from warpcontact.kernels.laws.hertz_dashpot import HertzDashpot
-    from warpcontact.kernels.laws.hertz_elastic import HertzElastic
-    from warpcontact.kernels.laws.hooke import Hooke
-    from warpcontact.kernels.laws.hu_guo import HuGuo
-    from warpcontact.kernels.laws.hunt_crossley import HuntCrossley
-    from warpcontact.kernels.laws.hunt_crossley_1975 import HuntCrossley1975
-    from warpcontact.kernels.laws.impact import Impact
-    from warpcontact.kernels.laws.jankowski import Jankowski
-    from warpcontact.kernels.laws.johnson_cylinder import JohnsonCylinder
-    from warpcontact.kernels.laws.kelvin_voigt import KelvinVoigt
-    from warpcontact.kernels.laws.kuwabara_kono import KuwabaraKono
-    from warpcontact.kernels.laws.lankarani_nikravesh import LankaraniNikravesh
-    from warpcontact.kernels.laws.lee_wang import LeeWang
-    from warpcontact.kernels.laws.pant_wijeyewickrema import PantWijeyewickrema
-    from warpcontact.kernels.laws.pereira_cylinder import PereiraCylinder, PereiraCylinderExternal
-    from warpcontact.kernels.laws.power_law import PowerLaw
-    from warpcontact.kernels.laws.rigid import Rigid
-    from warpcontact.kernels.laws.tsuji import Tsuji
-    from warpcontact.kernels.laws.two_stiffness import TwoStiffness
-    from warpcontact.kernels.laws.zhiying_qishao import ZhiyingQishao
+    from warpcontact.kernels.laws.base import Rigid
+    from warpcontact.kernels.laws.elastic import (
+        Hooke,
+        JohnsonCylinder,
+        PereiraCylinder,
+        PereiraCylinderExternal,
+        PowerLaw,
+        TwoStiffness,
+    )
+    from warpcontact.kernels.laws.elastic_foundation import ContactRange, ElasticFoundation
+    from warpcontact.kernels.laws.hertz import Hertz, HertzElastic
+    from warpcontact.kernels.laws.hunt_crossley import (
+        CarvalhoMartins,
+        Flores,
+        Gonthier,
+        HerbertMcWhannell,
+        HuGuo,
+        HuntCrossley,
+        HuntCrossley1975,
+        LankaraniNikravesh,
+        LeeWang,
+        PantWijeyewickrema,
+        ZhiyingQishao,
+    )
+    from warpcontact.kernels.laws.linear_dashpot import Anagnostopoulos, HertzDashpot, KelvinVoigt
+    from warpcontact.kernels.laws.nonlinear_dashpot import Impact, Jankowski, KuwabaraKono, Tsuji
 
     CATALOGUE: tuple[type[Law], ...]
     RIGID: tuple[type[Law], ...]
 
 # Modules of the laws of the library, in the order of the catalogue: elastic, exact restitution, others.
 _CATALOGUE = {
-    "Hooke": "hooke",
+    "Hooke": "elastic",
     "Hertz": "hertz",
-    "HertzElastic": "hertz_elastic",
-    "PowerLaw": "power_law",
-    "JohnsonCylinder": "johnson_cylinder",
-    "PereiraCylinder": "pereira_cylinder",
-    "PereiraCylinderExternal": "pereira_cylinder",
+    "HertzElastic": "hertz",
+    "PowerLaw": "elastic",
+    "JohnsonCylinder": "elastic",
+    "PereiraCylinder": "elastic",
+    "PereiraCylinderExternal": "elastic",
     "ElasticFoundation": "elastic_foundation",
-    "ContactRange": "contact_range",
+    "ContactRange": "elastic_foundation",
     "HuntCrossley": "hunt_crossley",
-    "KelvinVoigt": "kelvin_voigt",
-    "Tsuji": "tsuji",
-    "TwoStiffness": "two_stiffness",
-    "Anagnostopoulos": "anagnostopoulos",
-    "HuntCrossley1975": "hunt_crossley_1975",
-    "HerbertMcWhannell": "herbert_mcwhannell",
-    "LeeWang": "lee_wang",
-    "LankaraniNikravesh": "lankarani_nikravesh",
-    "Gonthier": "gonthier",
-    "ZhiyingQishao": "zhiying_qishao",
-    "Flores": "flores",
-    "HuGuo": "hu_guo",
-    "CarvalhoMartins": "carvalho_martins",
-    "Jankowski": "jankowski",
-    "PantWijeyewickrema": "pant_wijeyewickrema",
-    "KuwabaraKono": "kuwabara_kono",
-    "HertzDashpot": "hertz_dashpot",
-    "Impact": "impact",
+    "KelvinVoigt": "linear_dashpot",
+    "Tsuji": "nonlinear_dashpot",
+    "TwoStiffness": "elastic",
+    "Anagnostopoulos": "linear_dashpot",
+    "HuntCrossley1975": "hunt_crossley",
+    "HerbertMcWhannell": "hunt_crossley",
+    "LeeWang": "hunt_crossley",
+    "LankaraniNikravesh": "hunt_crossley",
+    "Gonthier": "hunt_crossley",
+    "ZhiyingQishao": "hunt_crossley",
+    "Flores": "hunt_crossley",
+    "HuGuo": "hunt_crossley",
+    "CarvalhoMartins": "hunt_crossley",
+    "Jankowski": "nonlinear_dashpot",
+    "PantWijeyewickrema": "hunt_crossley",
+    "KuwabaraKono": "nonlinear_dashpot",
+    "HertzDashpot": "linear_dashpot",
+    "Impact": "nonlinear_dashpot",
 }
 
 # Laws of nonsmooth contact, which have no force function.
-_RIGID = {"Rigid": "rigid"}
+_RIGID = {"Rigid": "base"}
 
 #: Names of all laws.
 NAMES = (*_CATALOGUE, *_RIGID)

@@ -1,10 +1,10 @@
-"""Base class of normal force laws."""
+"""Base class of normal force laws, device functions that several laws use, and the law of nonsmooth contact."""
 
 from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.catalogue.device_model import Formula, parameter
 
 
 class Law(Formula):
@@ -99,3 +99,19 @@ def stepped_dashpot(damping: Any, inverse_mass: Any, dt: Any):
     # c' = c (√(1 + y²) − y), y = c dt/(4m), has the damping ratio ξ and thus the restitution. See ``KelvinVoigt``.
     y = type(dt)(0.25) * damping * dt * inverse_mass
     return damping * (wp.sqrt(type(dt)(1.0) + y * y) - y)
+
+
+class Rigid(Law):
+    """Contact without compliance, for nonsmooth contact; it has no force function."""
+
+    formula = "g ≥ 0, N ≥ 0, g N = 0; u_n⁺ = −e u_n⁻"
+    reference = "Signorini's condition and Newton's impact law"
+    provenance = "S"
+    validity = "bodies whose deformation does not matter"
+    rigid = True
+
+    restitution: float = parameter("-", "Newton's restitution e", default=0.0, at_least=0.0, at_most=1.0)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        return type(c.delta)(0.0)

@@ -1,6 +1,12 @@
-"""Hunt–Crossley damping with exact prescribed restitution."""
+"""Laws with Hunt–Crossley damping: N = K δⁿ (1 + d δ̇/v₀), v₀ the entry speed.
 
-from typing import Any
+``HuntCrossley`` returns the prescribed restitution e exactly. The others differ in the published relation between
+the damping factor d and e; ``restitution_of_damping_factor`` gives their actual restitution.
+``PantWijeyewickrema`` damps on approach only.
+"""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -100,3 +106,171 @@ class HuntCrossley(Law):
         entry_speed = wp.max(c.entry_speed, p.speed_floor)
         damping = p.factor / entry_speed + p.chi
         return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + damping * c.delta_dot)
+
+
+class EntrySpeedLaw(Law):
+    """Base of laws whose damping factor d is a published function of e, ``damping_factor``."""
+
+    device = ("stiffness", "exponent", "factor", "speed_floor")
+
+    stiffness: float = parameter("N/mⁿ", "stiffness K", above=0.0)
+    exponent: float = parameter("-", "exponent n", default=1.5, at_least=1.0, at_most=4.0)
+    restitution: float = parameter("-", "coefficient of restitution e", at_least=0.01, at_most=1.0)
+    speed_floor: float = parameter("m/s", "least entry speed v₀", default=0.01, above=0.0)
+
+    #: Returns d of e.
+    damping_factor: ClassVar[Callable[[np.ndarray], np.ndarray]]
+
+    @classmethod
+    def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {
+            "stiffness": values["stiffness"],
+            "exponent": values["exponent"],
+            "factor": cls.damping_factor(values["restitution"]),
+            "speed_floor": values["speed_floor"],
+        }
+
+    @wp.func
+    def force(p: Any, c: Any):
+        damping = p.factor / wp.max(c.entry_speed, p.speed_floor)
+        return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + damping * c.delta_dot)
+
+
+class HuntCrossley1975(EntrySpeedLaw):
+    """Hunt–Crossley damping as published: d to first order in 1 − e."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/2"
+    reference = "Hunt & Crossley, J. Appl. Mech. 42 (1975) 440"
+    provenance = "S"
+    validity = "e near 1: returns e within 0.033 for e ≥ 0.8; 0.50 for e = 0.05. HuntCrossley is exact"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return 1.5 * (1.0 - restitution)
+
+
+class HerbertMcWhannell(EntrySpeedLaw):
+    """Hunt–Crossley damping with a factor of second order in 1 − e."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 6(1−e)/[(2e−1)² + 3]"
+    reference = "Herbert & McWhannell, J. Eng. Ind. 99 (1977) 513"
+    provenance = "S"
+    validity = "e near 1: returns e within 0.007 for e ≥ 0.8; 0.49 for e = 0.05"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return 6.0 * (1.0 - restitution) / ((2.0 * restitution - 1.0) ** 2 + 3.0)
+
+
+class LeeWang(EntrySpeedLaw):
+    """Hunt–Crossley damping with half of the exact factor near e = 1."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/4"
+    reference = "Lee & Wang, J. Mech. Transm. Autom. Des. 105 (1983) 534"
+    provenance = "S"
+    validity = "returns much more than e: 0.80 for 0.5; kept for comparison"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return 0.75 * (1.0 - restitution)
+
+
+class LankaraniNikravesh(EntrySpeedLaw):
+    """Hertz contact with damping, the most cited law of multibody dynamics."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e²)/4"
+    reference = "Lankarani & Nikravesh, J. Mech. Des. 112 (1990) 369"
+    provenance = "S"
+    validity = "e near 1: returns e within 0.047 for e ≥ 0.8; 0.73 for e = 0.5"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return 0.75 * (1.0 - restitution**2)
+
+
+class Gonthier(EntrySpeedLaw):
+    """Hunt–Crossley damping with an approximation for all e. ``HuntCrossley`` has the exact root."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = (1−e²)/e"
+    reference = "Gonthier et al., Multibody Syst. Dyn. 11 (2004) 209"
+    provenance = "S"
+    validity = "all e: returns e within 0.032"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return (1.0 - restitution**2) / restitution
+
+
+class ZhiyingQishao(EntrySpeedLaw):
+    """Lankarani–Nikravesh damping, increased for low e."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = (3/4)(1−e²) exp[2(1−e)]"
+    reference = "Zhiying & Qishao, J. Dyn. Control 4 (2006) 294"
+    provenance = "S"
+    validity = "e ≥ 0.8: returns e within 0.013; 0.20 for e = 0.05"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return 0.75 * (1.0 - restitution**2) * np.exp(2.0 * (1.0 - restitution))
+
+
+class Flores(EntrySpeedLaw):
+    """Hunt–Crossley damping for low and high restitution."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 8(1−e)/(5e)"
+    reference = "Flores et al., Multibody Syst. Dyn. 25 (2011) 357; the same as Ye, Li & Zhu, EESD 38 (2009) 1135"
+    provenance = "S"
+    validity = "all e: returns e within 0.046"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return 1.6 * (1.0 - restitution) / restitution
+
+
+class HuGuo(EntrySpeedLaw):
+    """Hunt–Crossley damping with the correct limits for e → 0 and e → 1."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/(2e)"
+    reference = "Hu & Guo, Multibody Syst. Dyn. 35 (2015) 131"
+    provenance = "R"
+    validity = "all e: returns e within 0.035. Formula recalled, confirmed by its limits"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return 1.5 * (1.0 - restitution) / restitution
+
+
+class CarvalhoMartins(EntrySpeedLaw):
+    """Hunt–Crossley damping close to exact; for e ≤ 1/3 with the factor of Gonthier."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)(11−e)/[2(1+9e)];  (1−e²)/e for e ≤ 1/3"
+    reference = "Carvalho & Martins, Mech. Mach. Theory 139 (2019) 174; switch as in Exudyn"
+    provenance = "S"
+    validity = "all e: returns e within 0.0053"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        e = restitution
+        high = 3.0 * (1.0 - e) * (11.0 - e) / (2.0 * (1.0 + 9.0 * e))
+        return np.where(e > 1.0 / 3.0, high, (1.0 - e**2) / e)
+
+
+class PantWijeyewickrema(EntrySpeedLaw):
+    """Spring with Hunt–Crossley damping that acts on approach only, for pounding of structures."""
+
+    formula = "N = K δⁿ (1 + d max(δ̇, 0)/v₀),  d = 3(1−e²)/(2e²)"
+    reference = "Pant & Wijeyewickrema, EESD 41 (2012) 1701; approach only is recalled"
+    provenance = "S, R"
+    validity = "returns e within 0.029"
+
+    exponent: float = parameter("-", "exponent n", default=1.0, at_least=1.0, at_most=4.0)
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return 1.5 * (1.0 - restitution**2) / restitution**2
+
+    @wp.func
+    def force(p: Any, c: Any):
+        approach = wp.max(c.delta_dot, type(c.delta)(0.0))
+        damping = p.factor / wp.max(c.entry_speed, p.speed_floor)
+        return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + damping * approach)

@@ -7,7 +7,7 @@ import custom_law
 import numpy as np
 import pytest
 from matplotlib.text import Text
-from warpcontact.kernels.laws.clamped_dashpot import restitution_of_damping_ratio
+from warpcontact.kernels.laws.linear_dashpot import restitution_of_damping_ratio
 
 import warpcontact as wc
 from warpcontact.analysis import compare

@@ -108,7 +108,7 @@ def sources(tmp_path):
     (host / "report.py").write_text("import numpy\n")
     (kernels / "broadphase").mkdir()
     (kernels / "broadphase" / "contact_detection.py").write_text("contact_detection = 1\n")
-    (kernels / "laws" / "hooke.py").write_text("hooke = 1\n")
+    (kernels / "laws" / "elastic.py").write_text("elastic = 1\n")
     return {"host": host, "kernels": kernels}
 
 
@@ -127,7 +127,7 @@ def test_kernel_cache_key_is_one_line_and_repeatable(sources, capsys):
 
 
 @pytest.mark.parametrize(
-    "name", ["schedule.py", "kernels/broadphase/contact_detection.py", "kernels/laws/hooke.py", "kernels/new.py"]
+    "name", ["schedule.py", "kernels/broadphase/contact_detection.py", "kernels/laws/elastic.py", "kernels/new.py"]
 )
 def test_kernel_cache_key_differs_if_a_source_differs(name, sources):
     before = key(sources)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels.friction.saturation import fast_tanh
+from warpcontact.kernels.friction.base import fast_tanh
 
 
 @pytest.mark.parametrize(("real", "units"), [(np.float32, 3.0), (np.float64, 4.0)], ids=["float32", "float64"])

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scenes import dropped_sphere
-from warpcontact.kernels.laws.elliptic import stiffness_per_modulus
-from warpcontact.kernels.laws.hertz import elliptic_stiffness, hertz_stiffness
+from warpcontact.kernels.laws.hertz import elliptic_stiffness, hertz_stiffness, stiffness_per_modulus
 from warpcontact.kernels.laws.hunt_crossley import damping_factor_of_restitution
 
 import warpcontact as wc

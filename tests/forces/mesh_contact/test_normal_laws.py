@@ -9,7 +9,7 @@ from case_marks import slow_except
 from closed_forms import contact_time, greatest_penetration
 from scenes import dropped_sphere
 from warpcontact.kernels.laws import hunt_crossley
-from warpcontact.kernels.laws.clamped_dashpot import damping_ratio_of_restitution, restitution_of_damping_ratio
+from warpcontact.kernels.laws.linear_dashpot import damping_ratio_of_restitution, restitution_of_damping_ratio
 
 import warpcontact as wc
 

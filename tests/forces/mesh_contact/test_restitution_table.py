@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from closed_forms import contact_time
 from scenes import dropped_sphere
-from warpcontact.kernels.laws import kuwabara_kono, pereira_cylinder
+from warpcontact.kernels.laws import elastic, nonlinear_dashpot
 
 import warpcontact as wc
 from warpcontact import laws
@@ -95,7 +95,9 @@ def test_every_law_matches_its_row_of_the_restitution_table(precision, tolerance
 
 def reduced_viscosity(restitution):
     """A* whose Padé approximant is ``restitution``."""
-    law = kuwabara_kono.KuwabaraKono.from_restitution(stiffness=1.0, restitution=restitution, speed=1.0, mass=1.0)
+    law = nonlinear_dashpot.KuwabaraKono.from_restitution(
+        stiffness=1.0, restitution=restitution, speed=1.0, mass=1.0
+    )
     return law.viscosity
 
 
@@ -154,7 +156,7 @@ def test_pereira_in_si_units_matches_the_fit_in_millimeters():
         depth = 0.01  # mm
         expected = factor * 15 * 1e5 * depth**exponent
         np.testing.assert_allclose(made["stiffness"] * (depth * 1e-3) ** made["exponent"], expected, rtol=1e-12)
-    assert pereira_cylinder.PereiraCylinderExternal.device == ("stiffness", "exponent")
+    assert elastic.PereiraCylinderExternal.device == ("stiffness", "exponent")
 
 
 def test_elliptic_hertz_stiffness_has_expected_symmetries():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from warpcontact.kernels.laws.elliptic import LONGEST
+from warpcontact.kernels.laws.hertz import LONGEST
 
 import warpcontact as wc
 

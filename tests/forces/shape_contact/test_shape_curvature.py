@@ -5,8 +5,7 @@ import pytest
 import warp as wp
 from nonconvex_pairs import Quadric, packed, shape_contacts, signed_distance
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
-from warpcontact.kernels.laws.elliptic import stiffness_per_modulus
-from warpcontact.kernels.laws.hertz import elliptic_stiffness
+from warpcontact.kernels.laws.hertz import elliptic_stiffness, stiffness_per_modulus
 from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.base import Curvature, ShapeContactPoint
 from warpcontact.kernels.shapes.curvature import PairCurvature, curvature, pair_curvature

@@ -17,7 +17,7 @@ from warpcontact.analysis.compare.labels import notes, settings
 from warpcontact.building.scene import Scene
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.laws.hooke import Hooke
+from warpcontact.kernels.laws.elastic import Hooke
 from warpcontact.meshes import grid
 from warpcontact.model.environments import Environments
 from warpcontact.scene.elements import ContactMaterial
