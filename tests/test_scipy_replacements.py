@@ -7,8 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree
 from scipy.special import gamma
-from warpcontact.kernels.catalogue.roots import root_between
-from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
+from warpcontact.kernels.laws.formulas import contact_time, greatest_penetration, root_between
 from warpcontact.kernels.types import SIDE_KNOWN_INSIDE_WALLS
 
 from warpcontact.geometry.query_mesh import make_query_mesh

@@ -2,9 +2,9 @@
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
+from warpcontact.kernels.catalogue.names import lazy_names
 from warpcontact.kernels.laws.base import Law
-from warpcontact.kernels.laws.undamped import (
+from warpcontact.kernels.laws.formulas import (
     contact_time,
     greatest_force,
     greatest_penetration,

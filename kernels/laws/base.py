@@ -1,4 +1,4 @@
-"""Base class of normal force laws, device functions that several laws use, and the law of nonsmooth contact."""
+"""Base class of normal force laws, and the law of nonsmooth contact."""
 
 from typing import Any, ClassVar
 
@@ -69,36 +69,6 @@ class Law(Formula):
         if "stiffness" not in values or exponent is None:
             return None
         return values["stiffness"], np.asarray(exponent, dtype=np.float64)
-
-
-@wp.func
-def power(x: float, exponent: float):
-    """Returns x^exponent for x ≥ 0; exponents 1 and 1.5 are computed without ``pow``."""
-    if exponent == 1.0:
-        return x
-    if exponent == 1.5:
-        return x * wp.sqrt(x)
-    return wp.pow(x, exponent)
-
-
-@wp.func
-def power(x: wp.float64, exponent: wp.float64):  # noqa: F811  an overload
-    """Returns x^exponent in float64."""
-    if exponent == wp.float64(1.0):
-        return x
-    if exponent == wp.float64(1.5):
-        return x * wp.sqrt(x)
-    return wp.pow(x, exponent)
-
-
-@wp.func
-def stepped_dashpot(damping: Any, inverse_mass: Any, dt: Any):
-    """Returns the dashpot constant that in steps of ``dt`` damps like ``damping`` in continuous time."""
-    # The velocity of a step lags its position by half a step, v = v(t) + ½ dt N/m. Solved for N, the step acts
-    # with K and c both divided by 1 − c dt/(2m), that is, with the damping ratio ξ/√(1 − c dt/(2m)). The dashpot
-    # c' = c (√(1 + y²) − y), y = c dt/(4m), has the damping ratio ξ and thus the restitution. See ``KelvinVoigt``.
-    y = type(dt)(0.25) * damping * dt * inverse_mass
-    return damping * (wp.sqrt(type(dt)(1.0) + y * y) - y)
 
 
 class Rigid(Law):

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import parameter
-from warpcontact.kernels.laws.base import Law, power
+from warpcontact.kernels.laws.base import Law
+from warpcontact.kernels.laws.formulas import power
 
 
 class Hooke(Law):

@@ -6,7 +6,8 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import number, parameter
 from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.kernels.laws.base import Law, stepped_dashpot
+from warpcontact.kernels.laws.base import Law
+from warpcontact.kernels.laws.formulas import stepped_dashpot
 
 
 class ElasticFoundation(Law):

@@ -15,8 +15,8 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import number, parameter
 from warpcontact.kernels.catalogue.keywords import explain_keywords, keywords_of, refuse_unknown
-from warpcontact.kernels.catalogue.roots import root_between
 from warpcontact.kernels.laws.base import Law
+from warpcontact.kernels.laws.formulas import root_between
 from warpcontact.kernels.laws.hunt_crossley import damping_factor_of_restitution
 
 #: Largest ratio of the principal curvatures; larger ratios are replaced by this one.

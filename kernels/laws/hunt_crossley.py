@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import parameter
-from warpcontact.kernels.catalogue.roots import root_between
-from warpcontact.kernels.laws.base import Law, power
+from warpcontact.kernels.laws.base import Law
+from warpcontact.kernels.laws.formulas import power, root_between
 
 # For 1 − e below this the series of d is more accurate than the root of its equation.
 SERIES_RANGE = 2.0e-3

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import parameter
-from warpcontact.kernels.catalogue.roots import root_between
-from warpcontact.kernels.laws.base import Law, stepped_dashpot
+from warpcontact.kernels.laws.base import Law
+from warpcontact.kernels.laws.formulas import root_between, stepped_dashpot
 
 
 def restitution_of_damping_ratio(ratio: np.ndarray) -> np.ndarray:

@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import number, parameter
 from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.kernels.catalogue.roots import root_between
-from warpcontact.kernels.laws.base import Law, power
+from warpcontact.kernels.laws.base import Law
+from warpcontact.kernels.laws.formulas import power, root_between
 from warpcontact.kernels.laws.linear_dashpot import damping_ratio_of_restitution
 
 

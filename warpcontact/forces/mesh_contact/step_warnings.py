@@ -12,7 +12,7 @@ from warpcontact.forces.contact_coupling.step_warnings import contact_coupling_w
 from warpcontact.forces.couplings.step_warnings import coupling_warnings
 from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, TYPICAL_SPEED, friction_warnings
 from warpcontact.geometry.initial_clearance import starts_clear
-from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
+from warpcontact.kernels.laws.formulas import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
 from warpcontact.scene.mobility import MIN_MOBILITY, mobility_of
 from warpcontact.validation.checks import Array
