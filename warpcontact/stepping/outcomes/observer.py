@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.kernels.outcomes import events, reduce, stop
+from warpcontact.kernels.outcomes import monitors
 from warpcontact.kernels.outcomes.base import Condition, Outcome
 from warpcontact.kernels.outcomes.source import MAX_SOURCES, SourceForm
 from warpcontact.model.sensor_evaluation import sensor_stages
@@ -124,19 +124,19 @@ class Monitor:
         for outcome_state in self.outcome_states:
             Memory = wp.types.vector(length=outcome_state.length, dtype=wp.float64)
             layout.array(PURPOSE, outcome_state, "memory", Memory, per_env(outcome_state.results))
-        self.stops = stop.StopStates()
+        self.stops = monitors.StopStates()
         if self._stops:
             count = len(self._stops)
             stop_range = {"stopped_by": (-1, count - 1)}
             self.stops = layout.struct(
-                PURPOSE, stop.StopStates, per_env(count), ranges=stop_range, stopped_by=per_env()
+                PURPOSE, monitors.StopStates, per_env(count), ranges=stop_range, stopped_by=per_env()
             )
-        self.events = events.Events()
+        self.events = monitors.Events()
         if settings.events is not None:
             slots, places = per_env(settings.events.most), per_env(self.event_offsets[-1])
             ranges = {"touching": SWITCH, "count": (0, MOST_EVENTS), "what": (0, 2 * self.event_offsets[-1] - 1)}
             self.events = layout.struct(
-                PURPOSE, events.Events, slots, ranges=ranges, count=per_env(), touching=places
+                PURPOSE, monitors.Events, slots, ranges=ranges, count=per_env(), touching=places
             )
         self.resets: Any = None
         layout.array(PURPOSE, self, "resets", wp.int32, per_env(), ranges={"resets": COUNT})
@@ -152,7 +152,7 @@ class Monitor:
             outcome = outcome_state.outcome
             forms, _ = self._forms_and_views(outcome_state, model.arrays.state)
             try:
-                kernel = reduce.report(outcome.update, outcome.result, outcome_state.length, forms)
+                kernel = monitors.report(outcome.update, outcome.result, outcome_state.length, forms)
                 load(kernel, self._device)
             except Exception as error:
                 text = compile_error_text(error, [type(outcome)])
@@ -169,21 +169,21 @@ class Monitor:
         time = model.arrays.time
         for first, one in zip(self.event_offsets, self.event_sources, strict=False):
             form, view = self._form_and_view(one, state)
-            launches += plan.prepare(events.kernel(form), 1, [status, time, first, view, self.events])
+            launches += plan.prepare(monitors.record_events(form), 1, [status, time, first, view, self.events])
         for number, (one, stop_condition) in enumerate(
             zip(self._stops, self.settings.stops.values(), strict=True)
         ):
             form, view = self._form_and_view(one, state)
-            condition = stop.Condition()
+            condition = monitors.StopCriterion()
             condition.limit, condition.sign = stop_condition.condition
             condition.lasting, condition.number = stop_condition.lasting, number
             inputs = [status, time, dt.clock, condition, view, self.stops]
-            launches += plan.prepare(stop.kernel(form), 1, inputs)
+            launches += plan.prepare(monitors.check_stop(form), 1, inputs)
         for outcome_state in self.outcome_states:
             if outcome_state.outcome.at_end:
                 continue
             forms, views = self._forms_and_views(outcome_state, state)
-            kernel = reduce.accumulate(
+            kernel = monitors.accumulate(
                 outcome_state.outcome.update, outcome_state.length, forms, outcome_state.results == 1
             )
             inputs = [status, time, dt.clock, _source_view(outcome_state), *views, outcome_state.memory]
@@ -220,14 +220,14 @@ class Monitor:
             start = outcome_state.memory.dtype(
                 *outcome_state.outcome.memory, *[0.0] * (outcome_state.length - len(outcome_state.outcome.memory))
             )
-            kernel, shape = reduce.restart(outcome_state.length), (envs, outcome_state.results)
+            kernel, shape = monitors.reset_outcome(outcome_state.length), (envs, outcome_state.results)
             wp.launch(kernel, dim=shape, inputs=[chosen, start, outcome_state.memory], device=self._device)
         if self._stops:
             inputs = [chosen, len(self._stops), self.stops]
-            wp.launch(stop.restart(), dim=envs, inputs=inputs, device=self._device)
+            wp.launch(monitors.reset_stops(), dim=envs, inputs=inputs, device=self._device)
         if self.event_sources:
-            wp.launch(events.restart(), dim=envs, inputs=[chosen, self.events], device=self._device)
-        wp.launch(reduce.reset_counts(), dim=envs, inputs=[chosen, self.resets], device=self._device)
+            wp.launch(monitors.reset_events(), dim=envs, inputs=[chosen, self.events], device=self._device)
+        wp.launch(monitors.reset_counts(), dim=envs, inputs=[chosen, self.resets], device=self._device)
 
     @shared_capture_lock()
     def results(self, outcome_state: OutcomeState) -> NDArray[np.float64]:
@@ -252,7 +252,7 @@ class Monitor:
             results,
         ]
         for launch in plan.prepare(
-            reduce.report(outcome.update, outcome.result, outcome_state.length, forms),
+            monitors.report(outcome.update, outcome.result, outcome_state.length, forms),
             outcome_state.results,
             inputs,
         ):
@@ -278,7 +278,7 @@ def sources_of(resolver: SourceResolver, owner: str, outcome: Outcome) -> tuple[
 
 def _source_view(outcome_state: OutcomeState) -> Any:
     condition: Condition = outcome_state.outcome.condition
-    source_view = reduce.SourceView()
+    source_view = monitors.SourceView()
     source_view.limit, source_view.sign = condition
     source_view.components = outcome_state.sources[0].components
     return source_view

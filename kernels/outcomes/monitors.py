@@ -1,13 +1,14 @@
-"""Advances the memory of outcomes once per accepted step, and evaluates results."""
+"""Monitors of a step: outcomes, stop conditions, and events of contacts."""
 
 import functools
 
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.outcomes.source import SourceForm, array_types, values
+from warpcontact.kernels.outcomes.source import SourceForm, array_types, value, values
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_FROZEN,
+    ENV_HALTED,
     LaunchRange,
     first_env,
     task_count,
@@ -133,7 +134,7 @@ def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[S
 
 
 @functools.cache
-def restart(length: int) -> wp.Kernel:
+def reset_outcome(length: int) -> wp.Kernel:
     """Returns the kernel that resets memories to their initial values. Launch with dim (env, result)."""
     Memory = wp.types.vector(length=length, dtype=wp.float64)
 
@@ -157,3 +158,137 @@ def reset_counts() -> wp.Kernel:
             counts[env] = 0
 
     return reset
+
+
+#: Tolerance for the duration of a condition, as a fraction of a step, because clocks are rounded sums.
+TIME_TOLERANCE = wp.constant(wp.float64(1.0e-6))
+
+
+@wp.struct
+class StopCriterion:
+    """Stop condition: ``sign`` (x − ``limit``) > 0 for the duration ``lasting``."""
+
+    limit: wp.float64
+    sign: wp.float64
+    lasting: wp.float64  # [s]
+    number: wp.int32  # index of the condition
+
+
+@wp.struct
+class StopStates:
+    """State of the stop conditions."""
+
+    since: wp.array2d(dtype=wp.float64)  # [env, condition] time since which it holds [s]; NaN: does not hold
+    stopped_by: wp.array(dtype=wp.int32)  # [env] index of the condition; −1: none
+
+
+@functools.cache
+def check_stop(form: SourceForm) -> wp.Kernel:
+    """Returns the kernel that checks a condition before a step; items: one per environment."""
+    source_value = value(form)
+    dtype = form.dtype
+
+    @unique_kernel()
+    def stop(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        time: wp.array(dtype=wp.float64),  # [env] before the step [s]
+        step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
+        condition: StopCriterion,
+        a: wp.array3d(dtype=dtype),
+        stops: StopStates,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            x = condition.sign * (source_value(a, env, 0, 0) - condition.limit)
+            since = wp.float64(wp.nan)
+            if x > wp.float64(0.0):
+                since = stops.since[env, condition.number]
+                if wp.isnan(since):
+                    since = time[env]
+                if time[env] - since >= condition.lasting - TIME_TOLERANCE * step[env, 0]:
+                    status[env] = ENV_HALTED
+                    stops.stopped_by[env] = condition.number
+            stops.since[env, condition.number] = since
+
+    return stop
+
+
+@functools.cache
+def reset_stops() -> wp.Kernel:
+    """Returns the kernel that resets conditions. Launch with dim env."""
+
+    @unique_kernel()
+    def reset_conditions(mask: wp.array(dtype=wp.bool), count: wp.int32, stops: StopStates):
+        env = wp.tid()
+        if mask[env]:
+            stops.stopped_by[env] = -1
+            for number in range(count):
+                stops.since[env, number] = wp.float64(wp.nan)
+
+    return reset_conditions
+
+
+@wp.struct
+class Events:
+    """Ring buffer of the last events of an environment."""
+
+    touching: wp.array2d(
+        dtype=wp.int32
+    )  # [env, index] contact state at the last evaluation; index: item of a contact
+    count: wp.array(dtype=wp.int32)  # [env] total number of events
+    time: wp.array2d(dtype=wp.float64)  # [env, slot] time of the first state after the event [s]
+    what: wp.array2d(dtype=wp.int32)  # [env, slot] 2 × index + 1: contact began, + 0: contact ended
+
+
+@functools.cache
+def record_events(form: SourceForm) -> wp.Kernel:
+    """Returns the kernel that detects events of a contact, which is closed where its source is positive.
+
+    Items: one per environment, so that the order of events is fixed.
+    """
+    source_value = value(form)
+    dtype = form.dtype
+
+    @unique_kernel()
+    def write_events(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        time: wp.array(dtype=wp.float64),  # [env] before the step [s]
+        first: wp.int32,  # index of the first item
+        a: wp.array3d(dtype=dtype),
+        events: Events,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            for item in range(a.shape[1]):
+                place = first + item
+                touches = wp.where(source_value(a, env, item, 0) > wp.float64(0.0), 1, 0)
+                if touches != events.touching[env, place]:
+                    events.touching[env, place] = touches
+                    count = events.count[env]
+                    slot = count % events.time.shape[1]
+                    events.time[env, slot] = time[env]
+                    events.what[env, slot] = 2 * place + touches
+                    events.count[env] = count + 1
+
+    return write_events
+
+
+@functools.cache
+def reset_events() -> wp.Kernel:
+    """Returns the kernel that clears events. Launch with dim env."""
+
+    @unique_kernel()
+    def clear_events(mask: wp.array(dtype=wp.bool), events: Events):
+        env = wp.tid()
+        if mask[env]:
+            events.count[env] = 0
+            for place in range(events.touching.shape[1]):
+                events.touching[env, place] = 0
+
+    return clear_events
