@@ -2,8 +2,7 @@
 
 import pytest
 from warpcontact.kernels.catalogue.keywords import keywords_of
-from warpcontact.kernels.catalogue.names import suggestion
-from warpcontact.kernels.catalogue.renamed import RENAMED
+from warpcontact.kernels.catalogue.names import RENAMED, suggestion
 
 import warpcontact as wc
 from warpcontact.experiment.schema import SECTIONS, Settings

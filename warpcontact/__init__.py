@@ -240,8 +240,7 @@ def _load(name: str) -> ModuleType:
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
-        from warpcontact.kernels.catalogue.names import suggestion
-        from warpcontact.kernels.catalogue.renamed import present_name
+        from warpcontact.kernels.catalogue.names import present_name, suggestion
 
         if (new := present_name(name, _HOME)) is not None:
             raise AttributeError(f"warpcontact.{name} is now warpcontact.{new}")

@@ -11,8 +11,7 @@ from collections.abc import Callable, Collection, Iterable
 from types import FunctionType
 from typing import Any, ParamSpec, TypeVar, get_args
 
-from warpcontact.kernels.catalogue.names import closest
-from warpcontact.kernels.catalogue.renamed import present_name
+from warpcontact.kernels.catalogue.names import closest, present_name
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -1,13 +1,107 @@
-"""Names of quantities and arguments: accepted aliases, and suggestions for unknown names.
+"""Names that a user writes: earlier public names, aliases, and suggestions for unknown names.
 
 A suggestion is a known name with similar spelling, or the name in this library for a word of other codes and
 papers: ``k`` in a paper or ``ke`` in Newton is ``stiffness`` here. Every "did you mean" comes from this module.
+
+``lazy_names`` loads attributes of a package on first use. Few classes of a catalogue are used, and Warp parses the
+functions of each when it is defined. Modules for files, plots and runs are not needed for a step.
 """
 
 import difflib
-from collections.abc import Iterable, Iterator
+import importlib
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
-from warpcontact.kernels.catalogue.renamed import present_name
+C = TypeVar("C")
+
+#: Present name by earlier name: attributes of the package, methods, keywords, tables and keys of experiment files,
+#: and quantities of sensors and parameters.
+RENAMED = {
+    # Attributes of the package.
+    "Template": "ContactMaterial",
+    "frictions": "friction",
+    "memory": "history",
+    "SmoothContact": "ShapeContact",
+    "Patch": "ParametricSurface",
+    "Status": "ContactStatus",
+    "LineStatus": "CatenaryStatus",
+    "Cause": "FailureCause",
+    "Stop": "StopCondition",
+    "Events": "ContactEvents",
+    "StageError": "UsdError",
+    "StoreError": "RunDataError",
+    "plot_frictions": "plot_friction_models",
+    # Attributes and methods of objects.
+    "add_smooth_contact": "add_shape_contact",
+    "add_mutual_contact": "add_particle_contact",
+    "smooth_contacts": "shape_contacts",
+    "mutual_contacts": "particle_contacts",
+    "remarks": "import_warnings",
+    "reading": "sensor",
+    "reading_names": "sensor_names",
+    "touching": "contact_pairs",
+    "line_shape": "catenary_shape",
+    "line_stiffness": "catenary_stiffness",
+    "advice": "check",
+    "step_in_frames": "step_with_callback",
+    "border_edge_count": "boundary_edge_count",
+    "border_loop_count": "boundary_loop_count",
+    # Keywords, and tables and keys of experiment files.
+    "template": "material",
+    "smooth_contact": "shape_contact",
+    "mutual_contact": "particle_contact",
+    "readings": "sensors",
+    "rim": "boundary",
+    "share": "force_scale",
+    "partners": "max_neighbors",
+    "own": "custom_types",
+    "crossing_steps": "crossing_substeps",
+    "graphs": "capture_graphs",
+    # Quantities of sensors.
+    "restrained": "restitution_limited",
+    "friction_loss": "friction_dissipation",
+    "impact_loss": "impact_dissipation",
+}
+
+
+def present_name(name: object, known: Iterable[str]) -> str | None:
+    """Returns the present name of ``name`` if it was renamed and the present name is among ``known``.
+
+    In a name with dots, such as a sensor, the last part is the renamed one.
+    """
+    owner, dot, last = str(name).rpartition(".")
+    new = f"{owner}{dot}{RENAMED[last]}" if last in RENAMED else None
+    return new if new in set(known) else None
+
+
+def explain_renamed(kind: type[C]) -> type[C]:
+    """Decorates a class: access to a renamed attribute raises an ``AttributeError`` with the present name."""
+
+    def missing(self: Any, name: str) -> Any:
+        if hasattr(type(self), name):  # a property that raised
+            return object.__getattribute__(self, name)
+        owner = type(self).__name__
+        new = RENAMED.get(name)
+        if new is None or not (new in vars(self) or hasattr(type(self), new)):
+            raise AttributeError(f"{owner!r} object has no attribute {name!r}", name=name, obj=self)
+        raise AttributeError(f"{owner}.{name} is now {owner}.{new}")
+
+    kind.__getattr__ = missing  # type: ignore[attr-defined]
+    return kind
+
+
+def explain_renamed_in(module: str, names: Iterable[str]) -> Callable[[str], Any]:
+    """Returns the ``__getattr__`` of a module for access to renamed public ``names``."""
+    known = frozenset(names)
+
+    def missing(name: str) -> Any:
+        if (new := present_name(name, known)) is not None:
+            raise AttributeError(f"{module}.{name} is now {module}.{new}")
+        raise AttributeError(f"module {module!r} has no attribute {name!r}", name=name)
+
+    return missing
+
 
 #: Accepted aliases of sensor quantities on input. Data, files and lists of names use the name on the right.
 ALIASES = {"delta": "penetration"}
@@ -165,3 +259,33 @@ def _alike(name: str, lower: dict[str, str]) -> str | None:
     """Returns the name with the most similar spelling, compared in lower case."""
     found = difflib.get_close_matches(name.lower(), lower, n=1)
     return lower[found[0]] if found else None
+
+
+def lazy_names(
+    module: str, homes: Mapping[str, str], catalogues: Mapping[str, Sequence[str]]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Returns the ``__getattr__`` and ``__dir__`` of a module.
+
+    Args:
+        module: Name of the module.
+        homes: Module of each name, relative to the package; with a leading dot, relative to its parent package.
+        catalogues: Names of tuples, and the names of the classes in each.
+    """
+
+    def find(name: str) -> Any:
+        itself = sys.modules[module]
+        value: Any
+        if name in homes:
+            value = getattr(importlib.import_module(f".{homes[name]}", itself.__package__), name)
+        elif name in catalogues:
+            value = tuple(getattr(itself, one) for one in catalogues[name])
+        else:
+            hint = "" if name.startswith("_") else suggestion(name, [*homes, *catalogues])
+            raise AttributeError(f"module {module!r} has no attribute {name!r}{hint}")
+        setattr(itself, name, value)
+        return value
+
+    def names() -> list[str]:
+        return sorted({*vars(sys.modules[module]), *homes, *catalogues})
+
+    return find, names

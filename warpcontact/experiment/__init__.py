@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.experiment import Experiment
-from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
+from warpcontact.kernels.catalogue.names import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.experiment.run import Run, open_run

@@ -15,8 +15,7 @@ from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSe
 from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation_settings import MOST_ENVS, grid_size
 from warpcontact.files.run_folder import read_file
-from warpcontact.kernels.catalogue.names import suggestion
-from warpcontact.kernels.catalogue.renamed import present_name
+from warpcontact.kernels.catalogue.names import present_name, suggestion
 
 # Required kind of value, by the error type of pydantic.
 _KINDS = {

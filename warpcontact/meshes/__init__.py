@@ -5,7 +5,7 @@ Host code only. Warp, SciPy and file readers are imported on first use.
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
+from warpcontact.kernels.catalogue.names import lazy_names
 from warpcontact.meshes.generate import box, grid, icosphere, sinusoidal_terrain
 from warpcontact.meshes.mesh import Mesh, MeshError
 from warpcontact.meshes.repair import REPAIRS, repaired

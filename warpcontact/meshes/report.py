@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from warpcontact.kernels.catalogue.renamed import explain_renamed
+from warpcontact.kernels.catalogue.names import explain_renamed
 from warpcontact.meshes.topology import Component, Orientation
 from warpcontact.validation.safe_text import escape_controls
 

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.forces.sensor import Sensor
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
-from warpcontact.kernels.catalogue.names import stored_name
-from warpcontact.kernels.catalogue.renamed import explain_renamed
+from warpcontact.kernels.catalogue.names import explain_renamed, stored_name
 from warpcontact.model.health import Health
 from warpcontact.model.scene_traits import SENSOR_ARRAYS
 from warpcontact.model.sensor_evaluation import CONTACT_NEEDS

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
-from warpcontact.kernels.catalogue.renamed import explain_renamed
+from warpcontact.kernels.catalogue.names import explain_renamed
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 from warpcontact.scene.add_bodies import Bodies

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.forces.mesh_contact.step_warnings import caller_stacklevel, contacts_to_evaluate, scene_warnings
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
-from warpcontact.kernels.catalogue.renamed import explain_renamed
+from warpcontact.kernels.catalogue.names import explain_renamed
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.model.environments import Environments
 from warpcontact.model.model import DeviceModel, State

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
+from warpcontact.kernels.catalogue.names import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.diagnosis import Diagnosis
