@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from handmade_drawings import PLATE, balls, camera, covered, drawing, figure, paint
-from warpcontact.kernels.rendering.forms import intersect_shape, shape_normal
-from warpcontact.kernels.rendering.rays import trace
-from warpcontact.kernels.rendering.world import CONE, CYLINDER, SPHERE, World
+from warpcontact.kernels.rendering.world import CONE, CYLINDER, SPHERE, World, intersect_shape, shape_normal, trace
 
 from warpcontact.drawing.colors import linear
 from warpcontact.drawing.drawing import Shape

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from warpcontact.algebra.poses import transform_points
 from warpcontact.drawing.drawing import Drawing, Figure
 from warpcontact.drawing.triangles import ball
-from warpcontact.kernels.rendering.sight import kernel
-from warpcontact.kernels.rendering.world import SPHERE
+from warpcontact.kernels.rendering.world import SPHERE, visibility
 from warpcontact.validation.checks import Array
 from warpcontact.visualize.rendering.stage import Items, Stage, bounds, is_static, place_figure, turned_axes
 
@@ -247,7 +246,7 @@ class Visibility:
             is_visible = wp.zeros(len(points), dtype=wp.uint8, device=self._device)
             if len(points):
                 wp.launch(
-                    kernel(),
+                    visibility(),
                     dim=len(points),
                     inputs=[
                         world.struct,

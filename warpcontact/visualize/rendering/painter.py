@@ -9,8 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.drawing.colors import linear
-from warpcontact.kernels.rendering.paint import View, kernel
-from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light
+from warpcontact.kernels.rendering.paint import Backdrop, Grid, Light, View, kernel
 from warpcontact.system.compilation import compile_as_launched
 from warpcontact.system.resources import available_threads
 from warpcontact.validation.checks import Array
