@@ -158,7 +158,7 @@ NEEDLESS = (
     *(f"warpcontact.kernels.shapes.{part}" for part in ("curvature", "derivatives", "narrow_phase")),
     *("warpcontact.kernels.shapes.sphere", "warpcontact.kernels.shapes.superellipsoid"),
     *("warpcontact.kernels.joints.prescribed", "warpcontact.kernels.outcomes.catalogue"),
-    *("warpcontact.kernels.couplings.springs.elastic", "warpcontact.kernels.couplings.springs.damping"),
+    "warpcontact.kernels.couplings.springs.models",
     *("warpcontact.experiment.cluster", "warpcontact.experiment.execute", "warpcontact.experiment.run"),
     *("warpcontact.meshes.picture", "warpcontact.meshes.readers", "warpcontact.unilateral.solving"),
 )

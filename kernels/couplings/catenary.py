@@ -1,8 +1,7 @@
 """Catenaries: elastic cables under their own weight between two points, in static equilibrium.
 
 A cable lies in the vertical plane through its ends. Computed in float64 for any precision of the model, because
-the tension of a taut cable depends on a small difference of two lengths. Equations: ``elastic_line.py``; with a
-floor: ``grounded_line.py``.
+the tension of a taut cable depends on a small difference of two lengths. Equations: ``elastic_line.py``.
 """
 
 import functools
@@ -11,8 +10,14 @@ from typing import NamedTuple
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.couplings import ends
-from warpcontact.kernels.couplings.elastic_line import mean_tension, scale, size, solve
-from warpcontact.kernels.couplings.grounded_line import solve_grounded, suspended_weight
+from warpcontact.kernels.couplings.elastic_line import (
+    mean_tension,
+    scale,
+    size,
+    solve,
+    solve_grounded,
+    suspended_weight,
+)
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     ENV_ACTIVE,

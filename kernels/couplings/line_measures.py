@@ -5,8 +5,15 @@ import functools
 import warp as wp
 from warpcontact.kernels.couplings import ends
 from warpcontact.kernels.couplings.catenary import CatenarySolution, Settings, one, placement, zero
-from warpcontact.kernels.couplings.elastic_line import mean_slackness, scale, size, span, span_compliance
-from warpcontact.kernels.couplings.grounded_line import slack_slope, suspended_weight
+from warpcontact.kernels.couplings.elastic_line import (
+    mean_slackness,
+    scale,
+    size,
+    slack_slope,
+    span,
+    span_compliance,
+    suspended_weight,
+)
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import structs
 

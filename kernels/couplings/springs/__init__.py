@@ -6,8 +6,16 @@ from warpcontact.kernels.catalogue.names import lazy_names
 from warpcontact.kernels.couplings.springs.base import Damper, Spring
 
 if TYPE_CHECKING:
-    from warpcontact.kernels.couplings.springs.damping import DampingTable, PolynomialDamping, Undamped, Viscous
-    from warpcontact.kernels.couplings.springs.elastic import ForceTable, Linear, Polynomial, StiffnessTable
+    from warpcontact.kernels.couplings.springs.models import (
+        DampingTable,
+        ForceTable,
+        Linear,
+        Polynomial,
+        PolynomialDamping,
+        StiffnessTable,
+        Undamped,
+        Viscous,
+    )
 
     SPRINGS: tuple[type[Spring], ...]
     DAMPERS: tuple[type[Damper], ...]
@@ -36,6 +44,6 @@ __all__ = [
 if not TYPE_CHECKING:  # there it would know every name
     __getattr__, __dir__ = lazy_names(
         __name__,
-        {**dict.fromkeys(SPRING_NAMES, "elastic"), **dict.fromkeys(DAMPER_NAMES, "damping")},
+        dict.fromkeys((*SPRING_NAMES, *DAMPER_NAMES), "models"),
         {"SPRINGS": SPRING_NAMES, "DAMPERS": DAMPER_NAMES},
     )

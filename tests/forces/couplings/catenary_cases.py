@@ -4,8 +4,7 @@ import functools
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.couplings.elastic_line import solve, span
-from warpcontact.kernels.couplings.grounded_line import solve_grounded, suspended_weight
+from warpcontact.kernels.couplings.elastic_line import solve, solve_grounded, span, suspended_weight
 
 
 @functools.cache

@@ -11,7 +11,8 @@ from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.couplings import spring
 from warpcontact.kernels.couplings.spring import SpringModel
-from warpcontact.kernels.couplings.springs import Undamped, tables
+from warpcontact.kernels.couplings.springs import Undamped
+from warpcontact.kernels.couplings.springs.base import rows_of
 from warpcontact.scene import couplings as elements
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.couplings import SpringDamper
@@ -84,7 +85,7 @@ class SpringSet(CouplingSet):
         for one in self.couplings:
             formula = getattr(one, part)
             if (field := formula.table_field()) is not None:
-                rows.append(tables.rows_of(getattr(formula, field.name)))
+                rows.append(rows_of(getattr(formula, field.name)))
             first.append(sum(map(len, rows)))
         vec4 = {wp.float32: wp.vec4f, wp.float64: wp.vec4d}[self.types.real]
         layout.constant("couplings", owner, "rows", np.concatenate(rows), vec4)
