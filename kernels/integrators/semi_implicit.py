@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames, rotations
-from warpcontact.kernels.acceptance import accept_step, quarantine
+from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.contact import history
 from warpcontact.kernels.contact import wrenches as wrench_functions
 from warpcontact.kernels.lowlevel.static_strides import assume_strides, hide_from_optimizer
@@ -46,7 +46,7 @@ def _spin(real: type) -> wp.Function:
 class EulerParts(NamedTuple):
     """Device functions of a semi-implicit Euler step of a free body, and the struct of its health check."""
 
-    Guard: type  # limits of environments, and causes of failures: ``quarantine.py``
+    Guard: type  # limits of environments, and causes of failures: ``accept_step.py``
     stepped_body: wp.Function  # state of a body after a step
     write_body: wp.Function  # writes that state
     step_failure_cause: wp.Function  # failure cause of that state, or NO_CAUSE
@@ -65,7 +65,7 @@ def euler(real: type) -> EulerParts:
     vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
     rotated = rotations.functions(real).rotated
     spin = _spin(real)
-    guard_functions = quarantine.guard(real)
+    guard_functions = accept_step.guard(real)
     Guard, failure_cause = guard_functions.Guard, guard_functions.failure_cause
 
     @wp.struct

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames, rotations
-from warpcontact.kernels.acceptance import quarantine
+from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.types import (
     BALL,
     ENV_FAILED,
@@ -101,7 +101,7 @@ class Functions(NamedTuple):
     put: wp.Function  # sets the center of mass, with its rounding remainder
     set_velocity: wp.Function  # sets the linear and angular velocity
     check_body: wp.Function  # marks the step as failed if the state is invalid or a load is NaN
-    Guard: type  # limits of environments, and causes of failures: ``quarantine.py``
+    Guard: type  # limits of environments, and causes of failures: ``accept_step.py``
     moved: wp.Function  # pose on the joint after a step with given mean velocities
     mobility: wp.Function  # inverse effective mass of a body with a joint for a force along a direction [1/kg]
     rotated: wp.Function  # float64 rotation, rotated by a rotation vector in W
@@ -115,7 +115,7 @@ def functions(real: type) -> Functions:
     frame = frames.functions(real)
     wide, narrow = frame.wide, frame.narrow
     rotated = rotations.functions(wp.float64).rotated
-    guard_functions = quarantine.guard(real)
+    guard_functions = accept_step.guard(real)
     Guard, failure_cause = guard_functions.Guard, guard_functions.failure_cause
 
     @wp.func

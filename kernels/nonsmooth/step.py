@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import rotations
-from warpcontact.kernels.acceptance import quarantine
+from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.joints import bodies
 from warpcontact.kernels.joints.bodies import arm_of, inertia_about, inertia_at, momentum_of, spin_of
@@ -291,7 +291,7 @@ def full_step(real: type, moves: bool) -> wp.Kernel:
     f = bodies.functions(real)
     wide, matrix_to_float64, quat_to_float64, moved = f.wide, f.matrix_to_float64, f.quat_to_float64, f.moved
     put, set_velocity, check_body = f.put, f.set_velocity, f.check_body
-    of_guard = quarantine.guard(real)
+    of_guard = accept_step.guard(real)
     Guard, failure_cause = of_guard.Guard, of_guard.failure_cause
 
     @wp.func

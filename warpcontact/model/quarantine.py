@@ -1,6 +1,6 @@
 """Quarantine: limits whose violation makes an environment fail, and the policies for failed environments.
 
-Kernels freeze a failed environment at its last valid state (``kernels/acceptance/quarantine.py``). The policies
+Kernels freeze a failed environment at its last valid state (``kernels/acceptance/accept_step.py``). The policies
 "reset" and "raise" are applied here, on the host.
 """
 
@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.kernels.acceptance import quarantine
+from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.types import ENV_FROZEN, NO_CAUSE, TOO_FAR
 from warpcontact.scene.scene_data import MAX_DISTANCE, MAX_SPEED, SceneData
 from warpcontact.scene.status import FailureCause
@@ -27,7 +27,7 @@ CADENCE = 64
 
 def add_guard(scene: SceneData, layout: AllocationPlan, parameters: Parameters, real: type) -> Any:
     """Returns the struct of limits of speed and distance; declares its arrays and parameters."""
-    guard_functions = quarantine.guard(real)
+    guard_functions = accept_step.guard(real)
     guard = guard_functions.Guard()
     layout.array("state", guard, "cause", wp.int32, per_env(), ranges={"cause": (NO_CAUSE, TOO_FAR)})
     speed, distance = Field(np.array([scene.max_speed])), Field(np.array([scene.max_distance]))
