@@ -6,20 +6,20 @@ from warpcontact.kernels.catalogue.names import lazy_names
 from warpcontact.kernels.joints.base import Motion
 
 if TYPE_CHECKING:
-    from warpcontact.kernels.joints.joints import Ball, Fixed, Free, Hinge, Planar, Slider, Translation
+    from warpcontact.kernels.joints.base import Ball, Fixed, Free, Hinge, Planar, Slider, Translation
     from warpcontact.kernels.joints.prescribed import Harmonic, Prescribed, Table
 
     CATALOGUE: tuple[type[Motion], ...]
 
 # Modules of the motions of the library.
 _CATALOGUE = {
-    "Free": "joints",
-    "Fixed": "joints",
-    "Translation": "joints",
-    "Planar": "joints",
-    "Hinge": "joints",
-    "Slider": "joints",
-    "Ball": "joints",
+    "Free": "base",
+    "Fixed": "base",
+    "Translation": "base",
+    "Planar": "base",
+    "Hinge": "base",
+    "Slider": "base",
+    "Ball": "base",
     "Prescribed": "prescribed",
     "Harmonic": "prescribed",
     "Table": "prescribed",

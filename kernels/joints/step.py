@@ -2,6 +2,7 @@
 
 The kernels of ``integrators/semi_implicit.py`` skip these bodies. Velocities advance first, then the pose, which
 is recomputed from the joint coordinates, so it does not drift. ``driven.py`` moves bodies with functions of time.
+Initial velocities are projected onto the degrees of freedom.
 """
 
 import functools
@@ -13,10 +14,13 @@ from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     BALL,
     ENV_ACTIVE,
+    FIXED,
+    FREE,
     HINGE,
     PLANAR,
     PRESCRIBED,
     SLIDER,
+    TIME_FUNCTION,
     TRANSLATION,
     LaunchRange,
     structs,
@@ -202,3 +206,43 @@ def accelerations(real: type) -> wp.Function:
         return linear, angular, arm
 
     return accelerations_of
+
+
+@functools.cache
+def project_velocities(real: type) -> wp.Kernel:
+    """Returns the kernel that projects velocities onto the joints. Launch with dim (env, body).
+
+    On a hinge or ball the angular velocity is kept, and the linear velocity follows from it.
+    """
+    t = structs(real)
+    Model, State = t.Model, t.State
+    f = bodies.functions(real)
+    wide, quat_to_float64, set_velocity = f.wide, f.quat_to_float64, f.set_velocity
+
+    @unique_kernel()
+    def project_onto_joints(mask: wp.array(dtype=wp.bool), model: Model, state: State):
+        env, body = wp.tid()
+        motion = model.body_motion[env, body]
+        kind = motion.kind
+        if not mask[env] or kind == FREE or kind == PRESCRIBED or kind == TIME_FUNCTION:  # noqa: SIM109
+            return
+        axis = motion.axis
+        v = wide(state.body_linear_velocity[env, body])
+        w = wide(state.body_angular_velocity[env, body])
+        along = wp.dot(axis, w) * axis
+        if kind == PLANAR:
+            v -= wp.dot(axis, v) * axis
+            w = along
+        elif kind == HINGE or kind == BALL:  # noqa: SIM109
+            if kind == HINGE:
+                w = along
+            v = wp.cross(w, arm_of(motion, quat_to_float64(state.body_orientation[env, body])))
+        else:
+            w = wp.vec3d()
+            if kind == SLIDER:
+                v = wp.dot(axis, v) * axis
+            elif kind == FIXED:
+                v = wp.vec3d()
+        set_velocity(state, env, body, v, w)
+
+    return project_onto_joints

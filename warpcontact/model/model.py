@@ -295,13 +295,11 @@ class DeviceModel(Environments, SceneTraits):
 
     def _start_motions(self, chosen: wp.array) -> None:
         """Projects initial velocities onto the joints, and sets bodies with prescribed motion to their start."""
-        from warpcontact.kernels.joints import driven, velocity_projection
+        from warpcontact.kernels.joints import driven, step
 
         a, real = self.arrays, self.types.real
         shape = (self.envs, self.body_count)
-        wp.launch(
-            velocity_projection.kernel(real), dim=shape, inputs=[chosen, a.model, a.state], device=self.device
-        )
+        wp.launch(step.project_velocities(real), dim=shape, inputs=[chosen, a.model, a.state], device=self.device)
         for motion_set in self.prescribed_motions:
             wp.launch(
                 driven.start(motion_set.motion, real),
