@@ -90,6 +90,56 @@ def arm_of(motion: BodyMotion, q: wp.quatd):
     return wp.quat_rotate(q, wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor))
 
 
+@wp.func
+def hinge_inertia(motion: BodyMotion, q: wp.quatd, inertia_B: wp.mat33d, mass: wp.float64):
+    """Returns the moment of inertia about the axis of a hinge [kg·m²], and the lever of the center of mass, W [m].
+
+    The lever is the velocity of the center of mass over the rate of rotation.
+    """
+    lever = wp.cross(motion.axis, arm_of(motion, q))
+    return inertia_about(motion.axis, q, inertia_B) + mass * wp.dot(lever, lever), lever
+
+
+@wp.func
+def advance_velocity(
+    motion: BodyMotion,
+    mass: wp.float64,
+    inertia_B: wp.mat33d,
+    q: wp.quatd,
+    v: wp.vec3d,
+    w: wp.vec3d,
+    force: wp.vec3d,
+    torque: wp.vec3d,
+    dt: wp.float64,
+):
+    """Returns the velocities after ``dt`` under a force and a torque about the center of mass, W.
+
+    For a body with prescribed velocities or with a joint other than a ball; zero for other bodies.
+    """
+    kind = motion.kind
+    axis = motion.axis
+    linear = wp.vec3d()
+    angular = wp.vec3d()
+    if kind == PRESCRIBED:
+        linear = v
+        angular = w
+    elif kind == TRANSLATION:
+        linear = v + (dt / mass) * force
+    elif kind == SLIDER:
+        linear = wp.dot(axis, v + (dt / mass) * force) * axis
+    elif kind == PLANAR:
+        linear = v + (dt / mass) * force
+        linear -= wp.dot(axis, linear) * axis
+        rate = wp.dot(axis, w) + dt * wp.dot(axis, torque) / inertia_about(axis, q, inertia_B)
+        angular = rate * axis
+    elif kind == HINGE:
+        inertia, lever = hinge_inertia(motion, q, inertia_B, mass)
+        rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(arm_of(motion, q), force)) / inertia
+        linear = rate * lever
+        angular = rate * axis
+    return linear, angular
+
+
 class Functions(NamedTuple):
     """Device functions that read and write states and models of one precision, and the struct ``Guard``."""
 
@@ -241,11 +291,9 @@ def functions(real: type) -> Functions:
             inertia = inertia_about(axis, q, matrix_to_float64(model.body_inertia[env, body]))
             result = wp.dot(across, across) / mass + lever * lever / inertia
         elif motion.kind == HINGE:
-            centre = arm_of(motion, q)
-            lever = wp.dot(axis, wp.cross(centre + arm, n))
-            across = wp.cross(axis, centre)
-            inertia = inertia_about(axis, q, matrix_to_float64(model.body_inertia[env, body]))
-            result = lever * lever / (inertia + mass * wp.dot(across, across))
+            lever = wp.dot(axis, wp.cross(arm_of(motion, q) + arm, n))
+            inertia, _ = hinge_inertia(motion, q, matrix_to_float64(model.body_inertia[env, body]), mass)
+            result = lever * lever / inertia
         elif motion.kind == BALL:
             centre = arm_of(motion, q)
             centre_B = wp.quat_rotate_inv(q, centre)

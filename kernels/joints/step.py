@@ -9,7 +9,15 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.joints import bodies
-from warpcontact.kernels.joints.bodies import arm_of, inertia_about, inertia_at, momentum_of, spin_of
+from warpcontact.kernels.joints.bodies import (
+    advance_velocity,
+    arm_of,
+    hinge_inertia,
+    inertia_about,
+    inertia_at,
+    momentum_of,
+    spin_of,
+)
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     BALL,
@@ -63,7 +71,6 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
                 continue
             motion = model.body_motion[env, body]
             kind = motion.kind
-            axis = motion.axis
             dt = wp.float64(step[env, 0])
             mass = wp.float64(model.body_mass[env, body])
             force = wide(wrenches.force[env, body]) + mass * wide(model.gravity[env, 0])
@@ -73,29 +80,10 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             v = wide(state_in.body_linear_velocity[env, body])
             w = wide(state_in.body_angular_velocity[env, body])
 
-            linear = wp.vec3d()
-            angular = wp.vec3d()
+            linear, angular = advance_velocity(motion, mass, inertia_B, q, v, w, force, torque, dt)
             anchor_inertia_B = wp.mat33d()
             momentum = wp.vec3d()
-            if kind == PRESCRIBED:
-                linear = v
-                angular = w
-            elif kind == TRANSLATION:
-                linear = v + (dt / mass) * force
-            elif kind == SLIDER:
-                linear = wp.dot(axis, v + (dt / mass) * force) * axis
-            elif kind == PLANAR:
-                linear = v + (dt / mass) * force
-                linear -= wp.dot(axis, linear) * axis
-                rate = wp.dot(axis, w) + dt * wp.dot(axis, torque) / inertia_about(axis, q, inertia_B)
-                angular = rate * axis
-            elif kind == HINGE:
-                arm = arm_of(motion, q)
-                across = wp.cross(axis, arm)
-                inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(across, across)
-                rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(arm, force)) / inertia
-                angular = rate * axis
-            elif kind == BALL:
+            if kind == BALL:
                 arm = arm_of(motion, q)
                 anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
                 momentum = momentum_of(anchor_inertia_B, q, w) + dt * (torque + wp.cross(arm, force))
@@ -193,8 +181,7 @@ def accelerations(real: type) -> wp.Function:
             angular = (wp.dot(axis, torque) / inertia_about(axis, q, inertia_B)) * axis
         elif kind == HINGE:
             arm = arm_of(motion, q)
-            across = wp.cross(axis, arm)
-            inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(across, across)
+            inertia, _ = hinge_inertia(motion, q, inertia_B, mass)
             angular = (wp.dot(axis, torque + wp.cross(arm, force)) / inertia) * axis
             linear = wp.cross(angular, arm) + wp.cross(w, wp.cross(w, arm))
         elif kind == BALL:
