@@ -12,8 +12,8 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth import relative, solver_common, velocity_update
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth import solver_common, velocity_update
+from warpcontact.kernels.nonsmooth.rows import solve_types
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
 
 # Number of iterations without a smaller residual after which a residual of the size of rounding is accepted.
@@ -68,14 +68,14 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
     """
     t = structs(real)
     vec3 = t.vec3
-    r = row_structs(real)
-    Rows, SolveResult = r.Rows, r.SolveResult
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
-    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
     Scratch = wp.array2d(dtype=scratch(real, rolls))
     f = velocity_update.functions(real, moves)
-    spin_after, relative_spin_change = relative.functions(real, moves).spin_after, f.relative_spin_change
-    velocity_change_at, apply_impulse_pair = f.velocity_change_at, f.apply_impulse_pair
+    spin_after, relative_spin_change = (
+        velocity_update.relative_velocities(real, moves).spin_after,
+        f.relative_spin_change,
+    )
+    velocity_change_at, apply_row_wrench = f.velocity_change_at, f.apply_row_wrench
     angular_response_trace, project_onto_cone, project_couple = (
         f.angular_response_trace,
         f.project_onto_cone,
@@ -244,8 +244,6 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
                 for row in range(count):
                     rho = scratch[env, row].rho
                     if rho > zero:
-                        body_1 = rows[env, row].body_1
-                        body_2 = rows[env, row].body_2
                         n = rows[env, row].normal
                         mu = rows[env, row].mu
                         impulse = rows[env, row].impulse
@@ -294,18 +292,7 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
                             new = project_onto_cone(new, n, mu)
                         step = new - impulse
                         rows[env, row].impulse = new
-                        angular_impulse_1 = wp.cross(rows[env, row].arm_1, step) + couple_step
-                        angular_impulse_2 = -wp.cross(rows[env, row].arm_2, step) - couple_step
-                        apply_impulse_pair(
-                            body_response,
-                            velocity_change,
-                            env,
-                            body_1,
-                            body_2,
-                            step,
-                            angular_impulse_1,
-                            angular_impulse_2,
-                        )
+                        apply_row_wrench(rows, body_response, velocity_change, env, row, step, couple_step)
                 steps += 1
 
             if worst > least:
@@ -318,20 +305,7 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
                     if wp.static(rolls):
                         couple_step = scratch[env, row].couple_best - rows[env, row].couple
                         rows[env, row].couple = scratch[env, row].couple_best
-                    body_1 = rows[env, row].body_1
-                    body_2 = rows[env, row].body_2
-                    angular_impulse_1 = wp.cross(rows[env, row].arm_1, step) + couple_step
-                    angular_impulse_2 = -wp.cross(rows[env, row].arm_2, step) - couple_step
-                    apply_impulse_pair(
-                        body_response,
-                        velocity_change,
-                        env,
-                        body_1,
-                        body_2,
-                        step,
-                        angular_impulse_1,
-                        angular_impulse_2,
-                    )
+                    apply_row_wrench(rows, body_response, velocity_change, env, row, step, couple_step)
 
             apply_change(body_response, velocity_change, env)
             report_solve(

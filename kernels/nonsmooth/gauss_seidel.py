@@ -5,8 +5,8 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth import cone, relative, rest_impulses, solver_common, velocity_update
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth import cone, rest_impulses, solver_common, velocity_update
+from warpcontact.kernels.nonsmooth.rows import solve_types
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
 
 # States of a block: it is computed on first use, and recomputed with softening after some sweeps.
@@ -63,19 +63,19 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
     """
     t = structs(real)
     vec3 = t.vec3
-    r = row_structs(real)
-    Rows, SolveResult = r.Rows, r.SolveResult
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
-    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
     Scratch = wp.array2d(dtype=scratch(real, rolls))
     c = cone.functions(real)
     basis, open_or_slipping_contact = c.basis, c.open_or_slipping_contact
     f = velocity_update.functions(real, moves)
-    spin_after, relative_spin_change = relative.functions(real, moves).spin_after, f.relative_spin_change
-    velocity_change_at, apply_impulse, apply_impulse_pair = (
+    spin_after, relative_spin_change = (
+        velocity_update.relative_velocities(real, moves).spin_after,
+        f.relative_spin_change,
+    )
+    velocity_change_at, apply_impulse, apply_row_impulse = (
         f.velocity_change_at,
         f.apply_impulse,
-        f.apply_impulse_pair,
+        f.apply_row_impulse,
     )
     angular_response_trace, project_couple = f.angular_response_trace, f.project_couple
     block_of, invert_symmetric, project_onto_cone = f.block, f.invert_symmetric, f.project_onto_cone
@@ -322,17 +322,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                         if unchecked == 1:
                             worst = wp.max(worst, wp.length_sq(step) / scale)
                         rows[env, row].impulse = new
-                        angular_impulse_1, angular_impulse_2 = wp.cross(arm_1, step), -wp.cross(arm_2, step)
-                        apply_impulse_pair(
-                            body_response,
-                            velocity_change,
-                            env,
-                            body_1,
-                            body_2,
-                            step,
-                            angular_impulse_1,
-                            angular_impulse_2,
-                        )
+                        apply_row_impulse(rows, body_response, velocity_change, env, row, step)
                         impulse = new
                     if wp.static(rolls):
                         trace = angular_response_trace(body_response, env, body_1) + angular_response_trace(
@@ -396,20 +386,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                         )
                         rows[env, row].impulse = new
                         step = new - last_sweep
-                        body_1 = rows[env, row].body_1
-                        body_2 = rows[env, row].body_2
-                        angular_impulse_1 = wp.cross(rows[env, row].arm_1, step)
-                        angular_impulse_2 = -wp.cross(rows[env, row].arm_2, step)
-                        apply_impulse_pair(
-                            body_response,
-                            velocity_change,
-                            env,
-                            body_1,
-                            body_2,
-                            step,
-                            angular_impulse_1,
-                            angular_impulse_2,
-                        )
+                        apply_row_impulse(rows, body_response, velocity_change, env, row, step)
                     scratch[env, row].before = new
                     scratch[env, row].last_sweep = last_sweep
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 from warpcontact.kernels.nonsmooth import velocity_update
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth.rows import solve_types
 from warpcontact.kernels.types import structs
 
 
@@ -36,12 +36,10 @@ class Functions(NamedTuple):
 def functions(real: type, Scratch: type) -> Functions:
     """Returns the device functions for ``real``; all bodies must be free. ``Scratch`` is the struct of a row."""
     vec3, mat33 = structs(real).vec3, structs(real).mat33
-    Rows = row_structs(real).Rows
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, False))
-    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    Rows, _, BodyResponse, VelocityChange = solve_types(real, False)
     Scratches = wp.array2d(dtype=Scratch)
     f = velocity_update.functions(real, False)
-    invert_symmetric, apply_impulse = f.invert_symmetric, f.apply_impulse
+    invert_symmetric, apply_row_impulse = f.invert_symmetric, f.apply_row_impulse
     # Velocity over that without contact: rounding error of impulses.
     ROUNDING = wp.constant(real(16.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
     ROUNDED_UP = wp.constant(real(1.0 + 4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
@@ -211,22 +209,7 @@ def functions(real: type, Scratch: type) -> Functions:
                 new = scratch[env, row].before
                 step = new - rows[env, row].impulse
                 rows[env, row].impulse = new
-                apply_impulse(
-                    body_response,
-                    velocity_change,
-                    env,
-                    rows[env, row].body_1,
-                    step,
-                    wp.cross(rows[env, row].arm_1, step),
-                )
-                apply_impulse(
-                    body_response,
-                    velocity_change,
-                    env,
-                    rows[env, row].body_2,
-                    -step,
-                    -wp.cross(rows[env, row].arm_2, step),
-                )
+                apply_row_impulse(rows, body_response, velocity_change, env, row, step)
             scratch[env, row].before = rows[env, row].impulse
             scratch[env, row].last_sweep = rows[env, row].impulse
         return solved

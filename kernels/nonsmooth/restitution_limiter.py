@@ -15,8 +15,8 @@ import functools
 import warp as wp
 from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth import relative, velocity_update
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth.rows import solve_types
+from warpcontact.kernels.nonsmooth.velocity_update import relative_velocities
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_PAUSED, LaunchRange, first_env, structs, task_count
 
 #: Maximum number of solves after the first.
@@ -33,11 +33,9 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
     """
     t = structs(real)
     State = t.State
-    r, records = row_structs(real), record_structs(real)
-    Rows, SolveResult, RestitutionLimit = r.Rows, r.SolveResult, records.RestitutionLimit
-    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
-    f = relative.functions(real, moves)
+    RestitutionLimit = record_structs(real).RestitutionLimit
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
+    f = relative_velocities(real, moves)
     velocity_before, velocity_after = f.before, f.after
     spin_before, spin_after = f.spin_before, f.spin_after
     last = wp.constant(MAX_ROUNDS - 1)

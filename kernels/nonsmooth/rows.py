@@ -81,3 +81,43 @@ def body_response_struct(real: type, moves: bool) -> type:
             at_rest: wp.int32  # 1: it was at rest before the step
 
     return BodyResponse
+
+
+@functools.cache
+def velocity_change_struct(real: type) -> type:
+    """Returns the struct of the velocity change of a body, for ``real``."""
+    vec3 = structs(real).vec3
+
+    @wp.struct
+    class VelocityChange:
+        """Velocity change of a body by impulses."""
+
+        linear: vec3  # of the velocity of the center of mass, W [m/s]
+        angular: vec3  # W [rad/s]
+        speed_squared: real  # V², see ``solver_common.py`` [m²/s²]
+        stop_impulse: vec3  # impulse that stops it, see ``rest_impulses.py``, W [N·s]
+        stop_angular_impulse: vec3  # likewise, about its center of mass, W [N·m·s]
+        is_stopped: wp.int32  # 1: contacts that stop it were found
+
+    return VelocityChange
+
+
+class SolveTypes(NamedTuple):
+    """Types of the arguments of the kernels and functions of a solve."""
+
+    Rows: Any  # array of rows [env, row]
+    SolveResult: type  # number of rows, and result of a solve
+    BodyResponse: Any  # array of responses [env, body]
+    VelocityChange: Any  # array of velocity changes [env, body]
+
+
+@functools.cache
+def solve_types(real: type, moves: bool) -> SolveTypes:
+    """Returns the types for ``real``; with ``moves`` some bodies have joints."""
+    r = row_structs(real)
+    return SolveTypes(
+        Rows=r.Rows,
+        SolveResult=r.SolveResult,
+        BodyResponse=wp.array2d(dtype=body_response_struct(real, moves)),
+        VelocityChange=wp.array2d(dtype=velocity_change_struct(real)),
+    )

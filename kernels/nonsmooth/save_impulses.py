@@ -1,4 +1,9 @@
-"""Saves the impulses of a step: warm starts, dissipated energy, reactions and sensor values."""
+"""Saves the impulses of a step: warm starts, dissipated energy, reactions and sensor values; skips sleeping steps.
+
+A step is a function of state, contact history and parameters. If the last steps changed none of these, the next
+step does not either, until the user changes something. Such steps are counted, and an environment sleeps: its steps
+are skipped, with bitwise identical results.
+"""
 
 import functools
 from typing import Any
@@ -6,8 +11,8 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth import relative
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth.rows import row_structs, solve_types
+from warpcontact.kernels.nonsmooth.velocity_update import relative_velocities
 from warpcontact.kernels.particles.base import IN_CONTACT, particle_structs
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
@@ -29,23 +34,22 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     """Returns the kernel that stores the rows of an accepted step as warm starts of their contacts; items: 1.
 
     With ``moves`` some bodies have joints, with ``rolls`` some contacts have rolling or spinning resistance.
-    Environments that slept in the step (``exact_sleep.py``) become active again.
+    Environments that slept in the step (``skip_sleeping``) become active again.
 
     An impulse P at a contact with relative velocities U⁻ before and U⁺ after dissipates −P·(U⁻ + U⁺)/2. With θ =
     ½, this and the work of the forces equal the change of the kinetic energy of free bodies.
     """
     t = structs(real)
     vec3, State, Wrenches = t.vec3, t.State, t.Wrenches
-    r, records = row_structs(real), record_structs(real)
-    Rows, SolveResult = r.Rows, r.SolveResult
+    records = record_structs(real)
+    Rows, SolveResult, BodyResponse, _ = solve_types(real, moves)
     StoredImpulse, StoredImpulses, StepStatistics = (
         records.StoredImpulse,
         records.StoredImpulses,
         records.StepStatistics,
     )
     RestitutionLimit = records.RestitutionLimit
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
-    f = relative.functions(real, moves)
+    f = relative_velocities(real, moves)
     velocity_before, velocity_after = f.before, f.after
     spin_before, spin_after = f.spin_before, f.spin_after
     # Distance to the boundary of the cone at which a contact slips: rounding, and the error of the solver.
@@ -325,3 +329,28 @@ def reset(real: type) -> wp.Kernel:
             reactions.torque[env, body] = vec3()
 
     return reset_statistics
+
+
+@functools.cache
+def skip_sleeping(real: type) -> wp.Kernel:
+    """Returns the kernel that excludes sleeping environments from a step, except for their clocks; items: 1.
+
+    Requires that all contacts are nonsmooth contacts with surfaces, and that there are no other force elements.
+    """
+    StepStatistics = record_structs(real).StepStatistics
+
+    @unique_kernel()
+    def skip_sleeping_environments(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        statistics: StepStatistics,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] == ENV_ACTIVE and statistics.unchanged_steps[env] == 2:
+                time[env] = time[env] + step[env, 0]
+                status[env] = ENV_SLEEPING
+
+    return skip_sleeping_environments

@@ -12,8 +12,8 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth import relative, solver_common, velocity_update
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth import solver_common, velocity_update
+from warpcontact.kernels.nonsmooth.rows import solve_types
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
 
 #: Maximum number of impacts in a step, per active contact. Contacts that still approach then do not bounce.
@@ -45,17 +45,14 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
     With ``moves`` some bodies have joints.
     """
     State = structs(real).State
-    r = row_structs(real)
-    Rows, SolveResult = r.Rows, r.SolveResult
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
-    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
     ImpactRows = wp.array2d(dtype=scratch(real))
-    before = relative.functions(real, moves).before
+    before = velocity_update.relative_velocities(real, moves).before
     f = velocity_update.functions(real, moves)
-    velocity_change_at, impulse_response, apply_impulse_pair = (
+    velocity_change_at, impulse_response, apply_row_impulse = (
         f.velocity_change_at,
         f.impulse_response,
-        f.apply_impulse_pair,
+        f.apply_row_impulse,
     )
     clear_change = solver_common.functions(real, moves, False).clear_change
     zero = wp.constant(real(0.0))
@@ -148,18 +145,7 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
                     new = wp.max(impulse + speed_deficit / impact_rows[env, row].response, zero)
                     impact_rows[env, row].impulse = new
                     step = (new - impulse) * rows[env, row].normal
-                    angular_impulse_1 = wp.cross(rows[env, row].arm_1, step)
-                    angular_impulse_2 = -wp.cross(rows[env, row].arm_2, step)
-                    apply_impulse_pair(
-                        body_response,
-                        velocity_change,
-                        env,
-                        rows[env, row].body_1,
-                        rows[env, row].body_2,
-                        step,
-                        angular_impulse_1,
-                        angular_impulse_2,
-                    )
+                    apply_row_impulse(rows, body_response, velocity_change, env, row, step)
                     worst = wp.max(worst, wp.abs(new - impulse) * impact_rows[env, row].response)
             if worst <= rest_speed:
                 break

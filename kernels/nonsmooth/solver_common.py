@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.nonsmooth import relative, velocity_update
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth import velocity_update
+from warpcontact.kernels.nonsmooth.rows import solve_types
 from warpcontact.kernels.types import structs
 
 
@@ -36,16 +36,14 @@ def functions(real: type, moves: bool, rolls: bool) -> Functions:
     """
     t = structs(real)
     vec3 = t.vec3
-    Rows, SolveResult = row_structs(real).Rows, row_structs(real).SolveResult
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
-    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
     f = velocity_update.functions(real, moves)
     apply_impulse_pair, response_trace, angular_response_trace = (
         f.apply_impulse_pair,
         f.response_trace,
         f.angular_response_trace,
     )
-    between = relative.functions(real, moves)
+    between = velocity_update.relative_velocities(real, moves)
     velocity, spin = between.after, between.spin_after
     zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
     # Velocity over that of the warm start: rounding error of the warm start.

@@ -11,7 +11,15 @@ from warpcontact.kernels import rotations
 from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.joints import bodies
-from warpcontact.kernels.joints.bodies import arm_of, inertia_about, inertia_at, momentum_of, spin_of
+from warpcontact.kernels.joints.bodies import (
+    advance_velocity,
+    arm_of,
+    hinge_inertia,
+    inertia_about,
+    inertia_at,
+    momentum_of,
+    spin_of,
+)
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.types import (
@@ -22,7 +30,6 @@ from warpcontact.kernels.types import (
     HINGE,
     NO_CAUSE,
     PLANAR,
-    PRESCRIBED,
     SLIDER,
     TIME_FUNCTION,
     TRANSLATION,
@@ -164,40 +171,25 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
         q = quat_to_float64(half_step_state.body_orientation[env, body])
         v = wide(state_in.body_linear_velocity[env, body])
         w = wide(state_in.body_angular_velocity[env, body])
-        linear = wp.vec3d()
-        angular = wp.vec3d()
+        linear, angular = advance_velocity(motion, mass, inertia_B, q, v, w, force, torque, dt)
         inverse_mass_matrix = wp.mat33d()
         inverse_mass_coupling = wp.mat33d()
         inverse_inertia = wp.mat33d()
-        if kind == PRESCRIBED:
-            linear = v
-            angular = w
-        elif kind == TIME_FUNCTION:
+        if kind == TIME_FUNCTION:
             linear = wide(state_out.body_linear_velocity[env, body])
             angular = wide(state_out.body_angular_velocity[env, body])
         elif kind == TRANSLATION:
-            linear = v + (dt / mass) * force
             inverse_mass_matrix = wp.identity(n=3, dtype=wp.float64) / mass
         elif kind == SLIDER:
-            linear = wp.dot(axis, v + (dt / mass) * force) * axis
             inverse_mass_matrix = wp.outer(axis, axis) / mass
         elif kind == PLANAR:
-            linear = v + (dt / mass) * force
-            linear -= wp.dot(axis, linear) * axis
-            inertia = inertia_about(axis, q, inertia_B)
-            angular = (wp.dot(axis, w) + dt * wp.dot(axis, torque) / inertia) * axis
             along = wp.outer(axis, axis)
             inverse_mass_matrix = (wp.identity(n=3, dtype=wp.float64) - along) / mass
-            inverse_inertia = along / inertia
+            inverse_inertia = along / inertia_about(axis, q, inertia_B)
         elif kind == HINGE:
-            arm = arm_of(motion, q)
-            velocity_direction = wp.cross(axis, arm)
-            inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(velocity_direction, velocity_direction)
-            rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(arm, force)) / inertia
-            angular = rate * axis
-            linear = rate * velocity_direction
-            inverse_mass_matrix = wp.outer(velocity_direction, velocity_direction) / inertia
-            inverse_mass_coupling = wp.outer(velocity_direction, axis) / inertia
+            inertia, lever = hinge_inertia(motion, q, inertia_B, mass)
+            inverse_mass_matrix = wp.outer(lever, lever) / inertia
+            inverse_mass_coupling = wp.outer(lever, axis) / inertia
             inverse_inertia = wp.outer(axis, axis) / inertia
         elif kind == BALL:
             arm = arm_of(motion, q)
@@ -209,9 +201,9 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
             linear = wp.cross(angular, arm)
             R = wp.quat_to_matrix(q)
             inverse_inertia = R * inverse_B * wp.transpose(R)
-            lever = wp.skew(arm)
-            inverse_mass_coupling = -(lever * inverse_inertia)
-            inverse_mass_matrix = inverse_mass_coupling * lever
+            across = wp.skew(arm)
+            inverse_mass_coupling = -(across * inverse_inertia)
+            inverse_mass_matrix = inverse_mass_coupling * across
         body_response[env, body].linear = narrow(linear)
         body_response[env, body].angular = narrow(angular)
         body_response[env, body].inverse_mass_matrix = narrow_matrix(inverse_mass_matrix)

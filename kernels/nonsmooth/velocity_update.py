@@ -1,4 +1,4 @@
-"""Response of bodies to impulses, cone projections and residuals, shared by the solvers of a step.
+"""Relative velocities, response of bodies to impulses, cone projections and residuals, shared by the solvers.
 
 Solvers compute the velocity change by contact, not the velocity: it is independent of the speed of the bodies, and
 so is its float32 rounding. A row has w = q + U(change), where q is its relative velocity without contact minus its
@@ -10,27 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.nonsmooth.rows import body_response_struct
+from warpcontact.kernels import frames
+from warpcontact.kernels.nonsmooth.rows import solve_types
 from warpcontact.kernels.types import structs
-
-
-@functools.cache
-def velocity_change_struct(real: type) -> type:
-    """Returns the struct of the velocity change of a body, for ``real``."""
-    vec3 = structs(real).vec3
-
-    @wp.struct
-    class VelocityChange:
-        """Velocity change of a body by impulses."""
-
-        linear: vec3  # of the velocity of the center of mass, W [m/s]
-        angular: vec3  # W [rad/s]
-        speed_squared: real  # V², see ``solver_common.py`` [m²/s²]
-        stop_impulse: vec3  # impulse that stops it, see ``rest_impulses.py``, W [N·s]
-        stop_angular_impulse: vec3  # likewise, about its center of mass, W [N·m·s]
-        is_stopped: wp.int32  # 1: contacts that stop it were found
-
-    return VelocityChange
 
 
 class Functions(NamedTuple):
@@ -42,6 +24,8 @@ class Functions(NamedTuple):
     relative_spin_change: wp.Function  # change of the angular velocity of the first body relative to the second
     apply_impulse: wp.Function  # adds the response of a body to an impulse and an angular impulse
     apply_impulse_pair: wp.Function  # adds the responses of two bodies to opposite impulses
+    apply_row_impulse: wp.Function  # adds the responses of the bodies of a row to an impulse at K
+    apply_row_wrench: wp.Function  # adds the responses of the bodies of a row to an impulse at K and a couple
     response_trace: wp.Function  # trace of the block of a body, a measure of its mobility [1/kg]
     angular_response_trace: wp.Function  # trace of the response to angular impulses [1/(kg·m²)]
     impulse_response: wp.Function  # velocity change at an arm by an impulse there [m/s]
@@ -57,8 +41,7 @@ def functions(real: type, moves: bool) -> Functions:
     """Returns the device functions for ``real``; with ``moves`` some bodies have joints."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
-    VelocityChange = wp.array2d(dtype=velocity_change_struct(real))
+    Rows, _, BodyResponse, VelocityChange = solve_types(real, moves)
     zero, one, two, three = (wp.constant(real(x)) for x in (0.0, 1.0, 2.0, 3.0))
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
     # A block with a smaller determinant, relative to the cube of a third of its trace, counts as singular.
@@ -120,6 +103,35 @@ def functions(real: type, moves: bool) -> Functions:
         """Adds the responses of two bodies to opposite impulses and an angular impulse on each."""
         apply_impulse(body_response, velocity_change, env, body_1, impulse, turning_1)
         apply_impulse(body_response, velocity_change, env, body_2, -impulse, turning_2)
+
+    @wp.func
+    def apply_row_impulse(
+        rows: Rows, body_response: BodyResponse, velocity_change: VelocityChange, env: int, row: int, impulse: vec3
+    ):
+        """Adds the responses of the bodies of a row to an impulse at K, on the first body."""
+        turning_1, turning_2 = wp.cross(rows[env, row].arm_1, impulse), -wp.cross(rows[env, row].arm_2, impulse)
+        apply_impulse_pair(
+            body_response, velocity_change, env, rows[env, row].body_1, rows[env, row].body_2, impulse,
+            turning_1, turning_2,
+        )  # fmt: skip
+
+    @wp.func
+    def apply_row_wrench(
+        rows: Rows,
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        env: int,
+        row: int,
+        impulse: vec3,
+        couple: vec3,
+    ):
+        """Adds the responses of the bodies of a row to an impulse at K and a couple, on the first body."""
+        turning_1 = wp.cross(rows[env, row].arm_1, impulse) + couple
+        turning_2 = -wp.cross(rows[env, row].arm_2, impulse) - couple
+        apply_impulse_pair(
+            body_response, velocity_change, env, rows[env, row].body_1, rows[env, row].body_2, impulse,
+            turning_1, turning_2,
+        )  # fmt: skip
 
     @wp.func
     def response_trace(body_response: BodyResponse, env: int, body: int, arm: vec3):
@@ -298,6 +310,8 @@ def functions(real: type, moves: bool) -> Functions:
         relative_spin_change=relative_spin_change,
         apply_impulse=apply_impulse,
         apply_impulse_pair=apply_impulse_pair,
+        apply_row_impulse=apply_row_impulse,
+        apply_row_wrench=apply_row_wrench,
         response_trace=response_trace,
         angular_response_trace=angular_response_trace,
         impulse_response=impulse_response,
@@ -307,3 +321,61 @@ def functions(real: type, moves: bool) -> Functions:
         de_saxce_velocity=de_saxce_velocity,
         residual_squared=residual_squared,
     )
+
+
+class RelativeVelocities(NamedTuple):
+    """Device functions of the velocity of the first body relative to the second, W."""
+
+    before: wp.Function  # at K, in a state [m/s]
+    after: wp.Function  # at K, in a solve [m/s]
+    spin_before: wp.Function  # angular, in a state [rad/s]
+    spin_after: wp.Function  # angular, in a solve [rad/s]
+
+
+@functools.cache
+def relative_velocities(real: type, moves: bool) -> RelativeVelocities:
+    """Returns the device functions for ``real``; all give the first body relative to the second.
+
+    With ``moves`` some bodies have joints.
+    """
+    t = structs(real)
+    vec3, State = t.vec3, t.State
+    BodyResponse = solve_types(real, moves).BodyResponse
+    velocity_at = frames.functions(real).velocity_at
+
+    @wp.func
+    def before(state: State, env: int, body_1: int, body_2: int, arm_1: vec3, arm_2: vec3):
+        """Returns the relative velocity at K in a state."""
+        return velocity_at(state, env, body_1, arm_1) - velocity_at(state, env, body_2, arm_2)
+
+    @wp.func
+    def after(body_response: BodyResponse, env: int, body_1: int, body_2: int, arm_1: vec3, arm_2: vec3):
+        """Returns the relative velocity at K in a solve."""
+        velocity = vec3()
+        if body_1 >= 0:
+            velocity = body_response[env, body_1].linear + wp.cross(body_response[env, body_1].angular, arm_1)
+        if body_2 >= 0:
+            velocity -= body_response[env, body_2].linear + wp.cross(body_response[env, body_2].angular, arm_2)
+        return velocity
+
+    @wp.func
+    def spin_before(state: State, env: int, body_1: int, body_2: int):
+        """Returns the relative angular velocity in a state."""
+        difference = vec3()
+        if body_1 >= 0:
+            difference = state.body_angular_velocity[env, body_1]
+        if body_2 >= 0:
+            difference -= state.body_angular_velocity[env, body_2]
+        return difference
+
+    @wp.func
+    def spin_after(body_response: BodyResponse, env: int, body_1: int, body_2: int):
+        """Returns the relative angular velocity in a solve."""
+        difference = vec3()
+        if body_1 >= 0:
+            difference = body_response[env, body_1].angular
+        if body_2 >= 0:
+            difference -= body_response[env, body_2].angular
+        return difference
+
+    return RelativeVelocities(before=before, after=after, spin_before=spin_before, spin_after=spin_after)

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import warp as wp
 from warpcontact.kernels.nonsmooth import accelerated, gauss_seidel
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
-from warpcontact.kernels.nonsmooth.velocity_update import velocity_change_struct
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs, velocity_change_struct
 from warpcontact.kernels.types import WORLD, LaunchRange
 
 SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}

@@ -18,8 +18,8 @@ from warpcontact.forces.nonsmooth.materials import CONTACT_GAP, NonsmoothSource,
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
 from warpcontact.forces.sensor import Sensor
 from warpcontact.kernels.contact.impulse_records import record_structs
-from warpcontact.kernels.nonsmooth import build_rows, exact_sleep, save_impulses, sequence, velocity_update
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth import build_rows, save_impulses, sequence
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs, velocity_change_struct
 from warpcontact.kernels.shapes.records import shape_contact_structs
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
 from warpcontact.scene.elements import Contact
@@ -170,7 +170,7 @@ class NonsmoothContacts:
         made = {
             "rows": (rows.Row, each_row),
             "body_response": (body_response_struct(t.real, model.has_joints), bodies),
-            "velocity_change": (velocity_update.velocity_change_struct(t.real), bodies),
+            "velocity_change": (velocity_change_struct(t.real), bodies),
             "stored_impulses": (records.StoredImpulse, per_env(max(1, stored_count))),
         }
         self.rows = self.body_response = self.velocity_change = self.stored_impulses = None
@@ -407,7 +407,7 @@ class NonsmoothContacts:
         if self.monitored or others or any(self.compliant_clusters(group) for group in model.groups):
             return []
         inputs = [model.arrays.status, step, model.arrays.time, self.statistics]
-        return plan.prepare(exact_sleep.kernel(self._real), 1, inputs)
+        return plan.prepare(save_impulses.skip_sleeping(self._real), 1, inputs)
 
     @shared_capture_lock()
     def wake(self) -> None:
