@@ -7,10 +7,13 @@ in world axes, at the center of mass. Quaternions are (x, y, z, w).
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import warp as wp
+
+#: Type of a Warp struct, the result of ``wp.struct``, for which Warp has no public name.
+Struct: TypeAlias = Any
 
 #: Body index of the world.
 WORLD = -1
@@ -210,19 +213,19 @@ class Structs(NamedTuple):
     quat: type  # quaternion (x, y, z, w)
     mat33: type  # matrix
     epsilon: float  # distance from 1 to the next larger number
-    ContactGeometry: type  # geometric parameters of a contact
-    Cell: type  # cell of a face grid
-    Model: type  # bodies, points, surfaces, contacts and coupling ends
-    State: type  # state of bodies
-    History: type  # history of contacts
-    Contacts: type  # gap, normal, contact point and forces of contacts
-    CouplingExtremes: type  # closest approach of contact couplings
-    ActiveContacts: type  # contacts that later stages process, and wrenches of clusters
-    Cache: type  # distances cached from earlier steps
-    CouplingWrenches: type  # wrenches of couplings
-    Wrenches: type  # wrenches on bodies
-    NormalState: type  # arguments of a normal law
-    TangentialState: type  # arguments of a friction model
+    ContactGeometry: Struct  # geometric parameters of a contact
+    Cell: Struct  # cell of a face grid
+    Model: Struct  # bodies, points, surfaces, contacts and coupling ends
+    State: Struct  # state of bodies
+    History: Struct  # history of contacts
+    Contacts: Struct  # gap, normal, contact point and forces of contacts
+    CouplingExtremes: Struct  # closest approach of contact couplings
+    ActiveContacts: Struct  # contacts that later stages process, and wrenches of clusters
+    Cache: Struct  # distances cached from earlier steps
+    CouplingWrenches: Struct  # wrenches of couplings
+    Wrenches: Struct  # wrenches on bodies
+    NormalState: Struct  # arguments of a normal law
+    TangentialState: Struct  # arguments of a friction model
 
 
 @functools.cache

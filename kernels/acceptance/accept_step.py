@@ -21,6 +21,7 @@ from warpcontact.kernels.types import (
     TOO_FAR,
     TOO_FAST,
     LaunchRange,
+    Struct,
     first_env,
     structs,
     task_count,
@@ -30,8 +31,8 @@ from warpcontact.kernels.types import (
 class GuardParts(NamedTuple):
     """Structs of the health check of a step, and its device function."""
 
-    Guard: type  # limits of environments, and causes of failures
-    Limits: type  # squared limits on the motion of the center of mass
+    Guard: Struct  # limits of environments, and causes of failures
+    Limits: Struct  # squared limits on the motion of the center of mass
     failure_cause: wp.Function  # failure cause of a proposed state, or NO_CAUSE
 
 

@@ -29,6 +29,7 @@ from warpcontact.kernels.types import (
     ENV_ACTIVE,
     LATCHED,
     LaunchRange,
+    Struct,
     assume_nonnegative,
     structs,
     task_count,
@@ -40,9 +41,9 @@ from warpcontact.kernels.types import (
 class Functions(NamedTuple):
     """Structs and device functions of contact detection, for one part of the narrow phase."""
 
-    SetFrames: type  # frames of a point set and its surface
+    SetFrames: Struct  # frames of a point set and its surface
     frames_of_set: wp.Function  # frames of a set in a state
-    DetectedContact: type  # result of the narrow phase for one contact
+    DetectedContact: Struct  # result of the narrow phase for one contact
     detect: wp.Function  # narrow-phase result of a contact
     write_contact: wp.Function  # writes a result to ``Contacts``
     update_contact: wp.Function  # detects a contact and writes it; displacement without contact [m], < 0: none

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, dataclass_transform
 import numpy as np
 import warp as wp
 from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import Struct, structs
 
 
 @explain_keywords
@@ -451,7 +451,7 @@ def _always_returns(body: Sequence[ast.stmt]) -> bool:
     return isinstance(last, ast.Return)
 
 
-def coefficient_struct(formula: type[Formula], real: type) -> Any:
+def coefficient_struct(formula: type[Formula], real: type) -> Struct:
     """Returns the struct of the device coefficients of ``formula`` in precision ``real``."""
     # Warp has no empty structs.
     names = formula.device_names() or ("unused",)
@@ -462,7 +462,7 @@ def coefficient_struct(formula: type[Formula], real: type) -> Any:
 
 
 @functools.cache
-def named_struct(name: str, fields: tuple[tuple[str, Any], ...]) -> Any:
+def named_struct(name: str, fields: tuple[tuple[str, Any], ...]) -> Struct:
     """Returns the struct of these fields (name, Warp type), the same object for equal arguments.
 
     Warp compiles equal code once. Two classes with equal names and code, such as those of a reloaded file, share a

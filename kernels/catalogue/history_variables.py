@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import Formula, named_struct
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import Struct, structs
 
 
-def memory_struct(formula: type[Formula], real: type) -> Any:
+def memory_struct(formula: type[Formula], real: type) -> Struct:
     """Returns the struct of the history variables of ``formula``; unused if there are none."""
     vec3 = structs(real).vec3
     fields = tuple((name, vec3 if field.tangent else real) for name, field in formula.memories.items())

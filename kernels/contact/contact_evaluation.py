@@ -15,7 +15,7 @@ from warpcontact.kernels.catalogue.device_model import Formula, coefficient_stru
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.joints import bodies
 from warpcontact.kernels.laws import pull_off
-from warpcontact.kernels.types import FREE, structs
+from warpcontact.kernels.types import FREE, Struct, structs
 
 
 class ContactModel(NamedTuple):
@@ -50,7 +50,7 @@ class ContactModel(NamedTuple):
 def group_structs(contact_model: ContactModel, real: type) -> tuple[Any, Any]:
     """Returns the structs of arrays [env, contact of the group]: coefficients and history variables."""
 
-    def struct(name: str, dtype_of: Callable[[type[Formula], type], Any]) -> Any:
+    def struct(name: str, dtype_of: Callable[[type[Formula], type], Any]) -> Struct:
         elements = [(part, dtype_of(formula, real)) for part, formula in contact_model._asdict().items()]
         return array_struct(name, tuple(elements))
 
@@ -58,7 +58,7 @@ def group_structs(contact_model: ContactModel, real: type) -> tuple[Any, Any]:
 
 
 @functools.cache
-def array_struct(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
+def array_struct(name: str, elements: tuple[tuple[str, Any], ...]) -> Struct:
     """Returns the struct of arrays [env, item] with these elements (name, Warp type)."""
     return named_struct(name, tuple((part, wp.array2d(dtype=dtype)) for part, dtype in elements))
 
@@ -66,8 +66,8 @@ def array_struct(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
 class KinematicsStructs(NamedTuple):
     """Structs of the inputs and outputs of a contact evaluation."""
 
-    ContactKinematics: type  # kinematics of a contact at its point K
-    ContactForce: type  # force of the second body on the first
+    ContactKinematics: Struct  # kinematics of a contact at its point K
+    ContactForce: Struct  # force of the second body on the first
 
 
 @functools.cache

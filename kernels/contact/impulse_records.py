@@ -4,18 +4,18 @@ import functools
 from typing import Any, NamedTuple
 
 import warp as wp
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import Struct, structs
 
 
 class RecordStructs(NamedTuple):
     """Structs of nonsmooth contact that persist across steps, in one precision."""
 
-    NonsmoothMaterial: type  # parameters of a contact, or of all pairs of a particle contact
-    StoredImpulse: type  # impulse of the last step in which a contact was active
+    NonsmoothMaterial: Struct  # parameters of a contact, or of all pairs of a particle contact
+    StoredImpulse: Struct  # impulse of the last step in which a contact was active
     StoredImpulses: Any  # type of an array of stored impulses [env, contact]
-    StepStatistics: type  # statistics of each environment since reset
-    RestitutionLimit: type  # search for the largest restitution that adds no energy to an environment
-    DisplayedImpulses: type  # impulses of the last step, for sensors
+    StepStatistics: Struct  # statistics of each environment since reset
+    RestitutionLimit: Struct  # search for the largest restitution that adds no energy to an environment
+    DisplayedImpulses: Struct  # impulses of the last step, for sensors
 
 
 @functools.cache

@@ -12,6 +12,7 @@ from warpcontact.kernels.types import (
     COUPLING_DISABLED,
     ENV_ACTIVE,
     LaunchRange,
+    Struct,
     structs,
     task_count,
     task_env,
@@ -22,8 +23,8 @@ from warpcontact.kernels.types import (
 class BushingStructs(NamedTuple):
     """Structs of bushings, in one precision."""
 
-    Settings: type  # parameters of a bushing
-    Bushings: type  # measured quantities of bushings
+    Settings: Struct  # parameters of a bushing
+    Bushings: Struct  # measured quantities of bushings
 
 
 @functools.cache

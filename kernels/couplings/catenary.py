@@ -30,6 +30,7 @@ from warpcontact.kernels.types import (
     LINE_SUNK,
     LINE_TAUT,
     LaunchRange,
+    Struct,
     structs,
     task_count,
     task_env,
@@ -64,7 +65,7 @@ class CatenarySolution:
 class LineStructs(NamedTuple):
     """Structs of catenaries, in one precision."""
 
-    Lines: type  # measured quantities of catenaries
+    Lines: Struct  # measured quantities of catenaries
 
 
 @functools.cache

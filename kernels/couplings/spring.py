@@ -4,7 +4,7 @@ Spring and damper are compiled into the kernel, once per combination of classes 
 """
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct, named_struct
@@ -20,6 +20,7 @@ from warpcontact.kernels.types import (
     COUPLING_SLACK,
     ENV_ACTIVE,
     LaunchRange,
+    Struct,
     structs,
     task_count,
     task_env,
@@ -37,11 +38,11 @@ class SpringModel(NamedTuple):
 class SpringStructs(NamedTuple):
     """Structs of spring-dampers, in one precision."""
 
-    Settings: type  # parameters of a spring-damper apart from those of its models
-    Springs: type  # measured quantities and history of spring-dampers
-    Stretch: type  # arguments of spring and damper models at one instant
-    Row: type  # row of a table over the distance
-    Tables: type  # rows of all tables of a model
+    Settings: Struct  # parameters of a spring-damper apart from those of its models
+    Springs: Struct  # measured quantities and history of spring-dampers
+    Stretch: Struct  # arguments of spring and damper models at one instant
+    Row: Struct  # row of a table over the distance
+    Tables: Struct  # rows of all tables of a model
 
 
 @functools.cache
@@ -101,7 +102,7 @@ def spring_structs(real: type) -> SpringStructs:
 
 
 @functools.cache
-def coefficient_structs(parts: SpringModel, real: type) -> Any:
+def coefficient_structs(parts: SpringModel, real: type) -> Struct:
     """Returns the struct of arrays [env, spring of the group]: coefficients of both models, and settings."""
     elements = [(part, coefficient_struct(formula, real)) for part, formula in parts._asdict().items()]
     elements.append(("settings", spring_structs(real).Settings))

@@ -18,6 +18,7 @@ from warpcontact.kernels.types import (
     FREE,
     NO_CAUSE,
     LaunchRange,
+    Struct,
     assume_nonnegative,
     structs,
     task_count,
@@ -46,7 +47,7 @@ def _spin(real: type) -> wp.Function:
 class EulerParts(NamedTuple):
     """Device functions of a semi-implicit Euler step of a free body, and the struct of its health check."""
 
-    Guard: type  # limits of environments, and causes of failures: ``accept_step.py``
+    Guard: Struct  # limits of environments, and causes of failures: ``accept_step.py``
     stepped_body: wp.Function  # state of a body after a step
     write_body: wp.Function  # writes that state
     step_failure_cause: wp.Function  # failure cause of that state, or NO_CAUSE

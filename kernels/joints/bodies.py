@@ -21,6 +21,7 @@ from warpcontact.kernels.types import (
     SLIDER,
     TRANSLATION,
     BodyMotion,
+    Struct,
     structs,
 )
 
@@ -151,7 +152,7 @@ class Functions(NamedTuple):
     put: wp.Function  # sets the center of mass, with its rounding remainder
     set_velocity: wp.Function  # sets the linear and angular velocity
     check_body: wp.Function  # marks the step as failed if the state is invalid or a load is NaN
-    Guard: type  # limits of environments, and causes of failures: ``accept_step.py``
+    Guard: Struct  # limits of environments, and causes of failures: ``accept_step.py``
     moved: wp.Function  # pose on the joint after a step with given mean velocities
     mobility: wp.Function  # inverse effective mass of a body with a joint for a force along a direction [1/kg]
     rotated: wp.Function  # float64 rotation, rotated by a rotation vector in W

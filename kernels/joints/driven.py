@@ -14,7 +14,16 @@ from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.joints import bodies
 from warpcontact.kernels.joints.base import Motion
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, LaunchRange, structs, task_count, task_env, task_item
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    BodyMotion,
+    LaunchRange,
+    Struct,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
 
 # Time differences for velocities and accelerations [s]: short compared with the motion of macroscopic bodies, long
 # compared with float64 rounding.
@@ -22,7 +31,7 @@ VELOCITY_DT = wp.constant(wp.float64(1.0e-6))
 ACCELERATION_DT = wp.constant(wp.float64(2.0e-5))
 
 
-def coefficients_struct(motion: type[Motion]) -> Any:
+def coefficients_struct(motion: type[Motion]) -> Struct:
     """Returns the struct of the coefficients of ``motion``, in float64 for any precision."""
     return coefficient_struct(motion, wp.float64)
 

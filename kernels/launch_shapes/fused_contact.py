@@ -20,6 +20,7 @@ from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
     LaunchRange,
+    Struct,
     assume_nonnegative,
     structs,
     task_count,
@@ -31,7 +32,7 @@ from warpcontact.kernels.types import (
 class Functions(NamedTuple):
     """Struct and device functions of a contact that is detected and evaluated in one kernel."""
 
-    SetBodies: type  # frames and bodies of a set of contacts
+    SetBodies: Struct  # frames and bodies of a set of contacts
     set_bodies_of: wp.Function  # frames and bodies of a set in a state
     detect_and_evaluate: wp.Function  # detection result of a contact and, if closed, its force
     clear_history: wp.Function  # clears the history variables of an open contact: ``contact_evaluation.Functions``

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 from warpcontact.kernels.narrowphase.face_cache import ROUNDING
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import Struct, structs
 
 # Stack entries: up to eight per level. A BVH of 2³¹ faces has eleven levels.
 STACK_SIZE = 96
@@ -19,8 +19,8 @@ STACK_SIZE = 96
 class Functions(NamedTuple):
     """Structs and device functions of a traversal."""
 
-    Traversal: type  # state of a traversal
-    PruningReference: type  # closest point that is used to prune faces
+    Traversal: Struct  # state of a traversal
+    PruningReference: Struct  # closest point that is used to prune faces
     start_traversal: wp.Function  # traversal that starts at the root
     next_leaf: wp.Function  # index of the next face that may be within reach; −1: none
 

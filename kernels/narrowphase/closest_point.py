@@ -33,6 +33,7 @@ from warpcontact.kernels.types import (
     OPEN,
     SWEPT,
     WRONG_SIDE,
+    Struct,
     assume_nonnegative,
     structs,
 )
@@ -66,8 +67,8 @@ TRACKED = LATCHED | SWEPT
 class Functions(NamedTuple):
     """Structs and device functions of one part of the narrow phase."""
 
-    SetFrames: type  # frames of a point set and its surface
-    DetectedContact: type  # result for one contact
+    SetFrames: Struct  # frames of a point set and its surface
+    DetectedContact: Struct  # result for one contact
     frames_of_set: wp.Function  # frames of a set in a state
     detect: wp.Function  # result of a contact
     mark_far: wp.Function  # writes a contact that is far away on the outer side

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import warp as wp
 from warpcontact.kernels.lowlevel import vector_loads
 from warpcontact.kernels.narrowphase import triangle
-from warpcontact.kernels.types import FEATURE_ACTIVE, assume_nonnegative, structs
+from warpcontact.kernels.types import FEATURE_ACTIVE, Struct, assume_nonnegative, structs
 
 # Rounding error in units of epsilon times the size of the differences: two distances this close are tied. Not
 # wider, because the distances to a face and to the edge of its neighbor differ in second order only, and the
@@ -23,7 +23,7 @@ MAX_TRACK_STEPS = 32
 class Functions(NamedTuple):
     """Struct and device functions of the closest point of a face."""
 
-    ClosestPoint: type  # closest point of a face, relative to the query point
+    ClosestPoint: Struct  # closest point of a face, relative to the query point
     closest_on_face: wp.Function  # closest point of a face
     face_distance: wp.Function  # distance of a face, computed without branches
     is_inside: wp.Function  # whether the query point is on the inner side of the surface

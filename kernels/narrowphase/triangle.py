@@ -7,13 +7,13 @@ import functools
 from typing import NamedTuple
 
 import warp as wp
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import Struct, structs
 
 
 class Functions(NamedTuple):
     """Struct and device function of the closest point of a triangle."""
 
-    Hit: type  # closest point and its feature
+    Hit: Struct  # closest point and its feature
     closest_to_origin: wp.Function  # point of a triangle closest to the origin, and its feature
 
 

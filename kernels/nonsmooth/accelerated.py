@@ -14,14 +14,14 @@ import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.nonsmooth import solver_common, velocity_update
 from warpcontact.kernels.nonsmooth.rows import solve_types
-from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, Struct, first_env, structs, task_count
 
 # Number of iterations without a smaller residual after which a residual of the size of rounding is accepted.
 PATIENCE = 100
 
 
 @functools.cache
-def scratch(real: type, rolls: bool) -> type:
+def scratch(real: type, rolls: bool) -> Struct:
     """Returns the struct of solver data per row.
 
     Couples are divided by an arm, and angular velocities multiplied by it, so that they have the units of impulses

@@ -7,7 +7,7 @@ import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.nonsmooth import cone, rest_impulses, solver_common, velocity_update
 from warpcontact.kernels.nonsmooth.rows import solve_types
-from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, Struct, first_env, structs, task_count
 
 # States of a block: it is computed on first use, and recomputed with softening after some sweeps.
 BLOCK_UNSET, BLOCK_EXACT, BLOCK_SOFTENED = 0, 1, 2
@@ -22,7 +22,7 @@ PATIENCE = 50
 
 
 @functools.cache
-def scratch(real: type, rolls: bool) -> type:
+def scratch(real: type, rolls: bool) -> Struct:
     """Returns the struct of solver data per row."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33

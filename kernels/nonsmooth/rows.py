@@ -8,15 +8,15 @@ import functools
 from typing import Any, NamedTuple
 
 import warp as wp
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import Struct, structs
 
 
 class RowStructs(NamedTuple):
     """Structs of the contact problem of a step, in one precision."""
 
-    Row: type  # a contact that is active in a step
+    Row: Struct  # a contact that is active in a step
     Rows: Any  # type of an array of rows [env, row]; those from ``SolveResult.count`` on are not valid
-    SolveResult: type  # number of rows, and result of a solve
+    SolveResult: Struct  # number of rows, and result of a solve
 
 
 @functools.cache
@@ -59,7 +59,7 @@ def row_structs(real: type) -> RowStructs:
 
 
 @functools.cache
-def body_response_struct(real: type, moves: bool) -> type:
+def body_response_struct(real: type, moves: bool) -> Struct:
     """Returns the struct of the response of a body to impulses; with ``moves`` some bodies have joints."""
     vec3, mat33 = structs(real).vec3, structs(real).mat33
 

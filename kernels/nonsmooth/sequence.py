@@ -14,7 +14,7 @@ import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.nonsmooth import solver_common, velocity_update
 from warpcontact.kernels.nonsmooth.rows import solve_types
-from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, Struct, first_env, structs, task_count
 
 #: Maximum number of impacts in a step, per active contact. Contacts that still approach then do not bounce.
 MAX_IMPACTS_PER_CONTACT = 50
@@ -25,7 +25,7 @@ TIE = 1.0e-3
 
 
 @functools.cache
-def scratch(real: type) -> type:
+def scratch(real: type) -> Struct:
     """Returns the struct of a row of the sequence."""
 
     @wp.struct

@@ -9,7 +9,7 @@ import functools
 from typing import NamedTuple
 
 import warp as wp
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import Struct, structs
 
 # Flags of a record: in contact in the state of the force evaluation; in contact in the last accepted step.
 IN_CONTACT = 1
@@ -45,11 +45,11 @@ def owns_pair(particle: int, other_particle: int):
 class ParticleStructs(NamedTuple):
     """Structs of particle contact, in one precision."""
 
-    ParticleContactSettings: type  # parameters of a particle contact
-    Particles: type  # the particles
-    NeighborLists: type  # neighbors per particle
-    PairRecords: type  # records of pairs
-    CellList: type  # work arrays for building the lists
+    ParticleContactSettings: Struct  # parameters of a particle contact
+    Particles: Struct  # the particles
+    NeighborLists: Struct  # neighbors per particle
+    PairRecords: Struct  # records of pairs
+    CellList: Struct  # work arrays for building the lists
 
 
 @functools.cache

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.particles.base import ParticleTraits, particle_structs
-from warpcontact.kernels.types import assume_nonnegative, structs
+from warpcontact.kernels.types import Struct, assume_nonnegative, structs
 
 # Squared sine of the angle below which two segments are parallel.
 PARALLEL = 1.0e-10
@@ -60,8 +60,8 @@ def closest_on_segments(d: wp.vec3d, g: wp.vec3d, h: wp.vec3d):
 class Functions(NamedTuple):
     """Structs and device functions for particles with given traits."""
 
-    AxisPoint: type  # pose of a particle
-    ClosestApproach: type  # closest points of the axes of two particles
+    AxisPoint: Struct  # pose of a particle
+    ClosestApproach: Struct  # closest points of the axes of two particles
     #: ``(particles, state, env, particle)``: pose of a particle.
     axis_point: wp.Function
     #: ``(first, second)``: closest points of two particles.

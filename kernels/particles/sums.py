@@ -10,6 +10,7 @@ from warpcontact.kernels.particles.base import BATCH_SIZE, IN_CONTACT, particle_
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     LaunchRange,
+    Struct,
     assume_nonnegative,
     structs,
     task_count,
@@ -21,7 +22,7 @@ from warpcontact.kernels.types import (
 class Functions(NamedTuple):
     """Struct and device function for the sum of the contacts of a particle."""
 
-    WrenchSum: type  # wrench on a body, and number of contacts
+    WrenchSum: Struct  # wrench on a body, and number of contacts
     add_particle: wp.Function  # a sum, plus the contacts of a particle in list order
 
 

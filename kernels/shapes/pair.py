@@ -9,6 +9,7 @@ from typing import NamedTuple
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.shapes.base import Shape, mat33d, real, vec3d, zero
+from warpcontact.kernels.types import Struct
 
 
 @wp.func
@@ -22,11 +23,11 @@ def perpendicular(n: vec3d):
 class Functions(NamedTuple):
     """Structs and the device function of the separation of a pair of shape classes."""
 
-    Separation: type  # separation along a direction, with points and curvatures
+    Separation: Struct  # separation along a direction, with points and curvatures
     KinkMatrix: type  # matrix with one row per kink, at least one
     KinkVector: type  # vector with one element per kink, at least one
-    CoefficientsA: type  # coefficients of shape a
-    CoefficientsB: type  # coefficients of shape b
+    CoefficientsA: Struct  # coefficients of shape a
+    CoefficientsB: Struct  # coefficients of shape b
     evaluate_separation: wp.Function  # separation along a unit vector
     kink_count: int  # number of kinks of both shapes
     kink_count_a: int  # number of kinks of shape a, which come first

@@ -1,12 +1,12 @@
 """Defines the structs of shape contacts: shapes on a device, settings, results and warm starts."""
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import coefficient_struct, named_struct
 from warpcontact.kernels.shapes.base import Shape, WarmStart
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import Struct, structs
 
 
 @wp.struct
@@ -47,7 +47,7 @@ class WarmStarts:
 
 
 @functools.cache
-def shapes_struct(kind: type[Shape]) -> Any:
+def shapes_struct(kind: type[Shape]) -> Struct:
     """Returns the struct of arrays [env, shape] of one kind: ``coefficients`` and ``pose``."""
     coefficients = coefficient_struct(kind, wp.float64)
     fields = (("coefficients", wp.array2d(dtype=coefficients)), ("pose", wp.array2d(dtype=ShapePose)))
@@ -57,7 +57,7 @@ def shapes_struct(kind: type[Shape]) -> Any:
 class ShapeContactStructs(NamedTuple):
     """Structs of shape contacts, in one precision."""
 
-    ShapeContacts: type  # contacts of a set of shape pairs
+    ShapeContacts: Struct  # contacts of a set of shape pairs
 
 
 @functools.cache

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.shapes.base import half, real, two, zero
+from warpcontact.kernels.types import Struct
 
 # Default length of the first stride, and number of strides; each is twice as long as the one before.
 FIRST_STRIDE = 1.0e-3
@@ -24,7 +25,7 @@ MAX_STRIDES = wp.constant(wp.int32(9))
 class Functions(NamedTuple):
     """Struct of a search for a root, and its device functions."""
 
-    Search: type  # state of a search
+    Search: Struct  # state of a search
     #: ``(low, a, f_a, high, b, f_b)``: a search between a and b or, if they are equal, from there.
     start: wp.Function
     #: ``(search)``: whether it has a bracket.

@@ -18,6 +18,7 @@ import warp as wp
 from warpcontact.kernels.shapes import pair, zonotope
 from warpcontact.kernels.shapes.base import AXIS_TOLERANCE, LOOSE_AXIS_TOLERANCE, Shape, mat33d, real, vec3d
 from warpcontact.kernels.shapes.pair import perpendicular
+from warpcontact.kernels.types import Struct
 
 vec2d = wp.vec2d
 
@@ -76,9 +77,9 @@ class Functions(NamedTuple):
     """Structs and the device function of an ascent on the separation of a pair of shape classes."""
 
     ascend: wp.Function  # ascent from a direction
-    AscentResult: type  # end of an ascent
-    CoefficientsA: type  # coefficients of shape a
-    CoefficientsB: type  # coefficients of shape b
+    AscentResult: Struct  # end of an ascent
+    CoefficientsA: Struct  # coefficients of shape a
+    CoefficientsB: Struct  # coefficients of shape b
 
 
 @functools.cache
