@@ -20,7 +20,7 @@ from result_file import default_path, write
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts
-from warpcontact.forces.execution_plan import ExecutionPlan
+from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
 
 LINE = {"length": 100.0, "mass_per_length": 20.0, "axial_stiffness": 1e7}
 #: Ranges of the horizontal and vertical distance of the ends, and height of the floor [m].
@@ -50,10 +50,11 @@ def seconds(model: wc.Model, places: np.ndarray, moves: int, *, warm: bool) -> t
     """Returns the time of a solve [s], and its mean number of evaluations."""
     device = model.device
     clock = time.process_time if device.is_cpu else time.perf_counter
-    lines = model.couplings[0]
+    (lines,) = model.force_elements
+    instant = StepLength(model.zero_step, model.zero_step, model.zero_step)
     plan = ExecutionPlan(model, model.envs, uses_cache=False, ordered_sum=True)
-    solve = lines.force_stages(plan, model.arrays.state, model.arrays.status)
-    accept = lines.accept_stages(plan)
+    solve = lines.force_launches(plan, model.arrays.state, instant.real, model.arrays.status)
+    accept = lines.accept_launches(plan, instant, model.arrays.state)
     everywhere = wp.ones(model.envs, dtype=wp.bool, device=device)
     model.reset()
     for launch in solve + accept:
@@ -62,7 +63,7 @@ def seconds(model: wc.Model, places: np.ndarray, moves: int, *, warm: bool) -> t
     for move in range(1, moves + 1):
         model.state.body_position.assign(places[:, None] + np.array([MOVE * move, 0.0, 0.0]))
         if not warm:
-            lines.reset_state(everywhere, model.envs)
+            lines.reset_state(everywhere)
         wp.synchronize_device(device)
         start = clock()
         for launch in solve:

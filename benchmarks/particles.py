@@ -107,7 +107,7 @@ def settle(spheres: int, device: str, most: float = 60.0) -> dict[str, Any]:
         energies.append(float(model.sensor("scene.kinetic_energy")[0]))
         if energies[-1] < at_rest:
             break
-    made = int(model.particle_contact_sets[0].grid.build_count.numpy()[0])
+    made = int(model.of_family("particle contact")[0].cell_list.build_count.numpy()[0])
     return {
         "spheres": spheres,
         "fraction": bulk_fraction(model.sensor("ball.position")[0], width),
@@ -129,7 +129,7 @@ def rebuild(sim: wc.Simulation, spheres: int, device: str, count: int = 20) -> f
         total = 0.0
         for _ in range(count):
             if anew:
-                sim.model.particle_contact_sets[0].invalidate_lists()
+                sim.model.of_family("particle contact")[0].invalidate_caches()
             wp.synchronize_device(device)
             start = time.perf_counter()
             sim.step(2)

@@ -44,7 +44,7 @@ REGISTERS = 128
 class _Functions(NamedTuple):
     """Structs and device functions of a contact, of the body and of the end of a step."""
 
-    Guard: Struct  # limits of environments, and causes of failures: ``quarantine.py``
+    Guard: Struct  # limits of environments, and causes of failures: ``accept_step.py``
     has_history: bool  # whether contacts have history variables
     active_mask: wp.Function  # contacts of a cluster that cannot be culled, as bits
     cluster_safe_travel: wp.Function  # safe travel of a cluster [m]

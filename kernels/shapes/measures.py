@@ -81,7 +81,6 @@ def points(real: type) -> wp.Kernel:
     def compute_contact_points(
         state: State,
         first: wp.int32,  # contact of the set
-        offset: wp.int32,  # index offset of the set
         contact_shapes: ContactShapes,
         shape_poses_b: wp.array2d(dtype=ShapePose),
         settings: wp.array2d(dtype=ShapeContactSettings),
@@ -99,9 +98,9 @@ def points(real: type) -> wp.Kernel:
         if shape_contacts.status[env, contact] == DISABLED:
             point = wp.vec3d(wp.nan, wp.nan, wp.nan)
         kappa = settings[env, contact].kappa
-        measured.point[env, offset + contact] = point
-        measured.point_a[env, offset + contact] = point + (wp.float64(1.0) - kappa) * gap_vector
-        measured.point_b[env, offset + contact] = point - kappa * gap_vector
+        measured.point[env, contact] = point
+        measured.point_a[env, contact] = point + (wp.float64(1.0) - kappa) * gap_vector
+        measured.point_b[env, contact] = point - kappa * gap_vector
 
     return compute_contact_points
 
@@ -124,7 +123,6 @@ def curvatures(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kerne
     def measure_curvatures(
         state: State,
         first: wp.int32,  # contact of the set
-        offset: wp.int32,  # index offset of the set
         contact_shapes: ContactShapes,
         shapes_a: ShapesA,
         shapes_b: ShapesB,
@@ -137,12 +135,12 @@ def curvatures(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kerne
         contact_point = find_contact(
             env, contact, contact_shapes, shapes_a, shapes_b, pose, warm_starts.warm_start[env, contact]
         )
-        measured.curvature_1[env, offset + contact] = wp.float64(wp.nan)
-        measured.curvature_2[env, offset + contact] = wp.float64(wp.nan)
+        measured.curvature_1[env, contact] = wp.float64(wp.nan)
+        measured.curvature_2[env, contact] = wp.float64(wp.nan)
         if contact_point.status == MET:
             pair_curvature = curvature(env, contact, contact_shapes, shapes_a, shapes_b, pose, contact_point)
-            measured.curvature_1[env, offset + contact] = pair_curvature.relative.k_1
-            measured.curvature_2[env, offset + contact] = pair_curvature.relative.k_2
+            measured.curvature_1[env, contact] = pair_curvature.relative.k_1
+            measured.curvature_2[env, contact] = pair_curvature.relative.k_2
 
     return measure_curvatures
 
@@ -216,7 +214,6 @@ def gradients(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kernel
     def measure_gradients(
         state: State,
         first: wp.int32,  # contact of the set
-        offset: wp.int32,  # index offset of the set
         contact_shapes: ContactShapes,
         shapes_a: ShapesA,
         shapes_b: ShapesB,
@@ -225,7 +222,6 @@ def gradients(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kernel
     ):
         env, offset_in_range = wp.tid()
         contact = first + offset_in_range
-        index = offset + contact
         pose = relative_pose(state, env, contact, contact_shapes, shapes_a, shapes_b)
         contact_point = find_contact(
             env, contact, contact_shapes, shapes_a, shapes_b, pose, warm_starts.warm_start[env, contact]
@@ -247,27 +243,27 @@ def gradients(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kernel
             origin_b + pose.body_offset,
             origin_b,
         )
-        measured.gap_by_position_a[env, index] = vector_of(rates.gap, 0)
-        measured.gap_by_rotation_a[env, index] = vector_of(rates.gap, 3)
-        measured.gap_by_position_b[env, index] = vector_of(rates.gap, 6)
-        measured.gap_by_rotation_b[env, index] = vector_of(rates.gap, 9)
-        measured.normal_by_position_a[env, index] = matrix_of(rates.normal, 0)
-        measured.normal_by_rotation_a[env, index] = matrix_of(rates.normal, 3)
-        measured.normal_by_position_b[env, index] = matrix_of(rates.normal, 6)
-        measured.normal_by_rotation_b[env, index] = matrix_of(rates.normal, 9)
-        measured.point_a_by_position_a[env, index] = matrix_of(rates.point_a, 0)
-        measured.point_a_by_rotation_a[env, index] = matrix_of(rates.point_a, 3)
-        measured.point_a_by_position_b[env, index] = matrix_of(rates.point_a, 6)
-        measured.point_a_by_rotation_b[env, index] = matrix_of(rates.point_a, 9)
-        measured.point_b_by_position_a[env, index] = matrix_of(rates.point_b, 0)
-        measured.point_b_by_rotation_a[env, index] = matrix_of(rates.point_b, 3)
-        measured.point_b_by_position_b[env, index] = matrix_of(rates.point_b, 6)
-        measured.point_b_by_rotation_b[env, index] = matrix_of(rates.point_b, 9)
+        measured.gap_by_position_a[env, contact] = vector_of(rates.gap, 0)
+        measured.gap_by_rotation_a[env, contact] = vector_of(rates.gap, 3)
+        measured.gap_by_position_b[env, contact] = vector_of(rates.gap, 6)
+        measured.gap_by_rotation_b[env, contact] = vector_of(rates.gap, 9)
+        measured.normal_by_position_a[env, contact] = matrix_of(rates.normal, 0)
+        measured.normal_by_rotation_a[env, contact] = matrix_of(rates.normal, 3)
+        measured.normal_by_position_b[env, contact] = matrix_of(rates.normal, 6)
+        measured.normal_by_rotation_b[env, contact] = matrix_of(rates.normal, 9)
+        measured.point_a_by_position_a[env, contact] = matrix_of(rates.point_a, 0)
+        measured.point_a_by_rotation_a[env, contact] = matrix_of(rates.point_a, 3)
+        measured.point_a_by_position_b[env, contact] = matrix_of(rates.point_a, 6)
+        measured.point_a_by_rotation_b[env, contact] = matrix_of(rates.point_a, 9)
+        measured.point_b_by_position_a[env, contact] = matrix_of(rates.point_b, 0)
+        measured.point_b_by_rotation_a[env, contact] = matrix_of(rates.point_b, 3)
+        measured.point_b_by_position_b[env, contact] = matrix_of(rates.point_b, 6)
+        measured.point_b_by_rotation_b[env, contact] = matrix_of(rates.point_b, 9)
         p_a = shapes_a.coefficients[env, contact_shapes.shape_a[contact]]
         p_b = shapes_b.coefficients[env, contact_shapes.shape_b[contact]]
         n_a = wp.quat_rotate_inv(pose.q, -contact_point.normal)
         point_a = wp.quat_rotate_inv(pose.q, contact_point.point_a - pose.x)
-        measured.gap_by_sizes_a[env, index] = by_sizes_a(p_a, point_a, n_a)
-        measured.gap_by_sizes_b[env, index] = by_sizes_b(p_b, contact_point.point_b, contact_point.normal)
+        measured.gap_by_sizes_a[env, contact] = by_sizes_a(p_a, point_a, n_a)
+        measured.gap_by_sizes_b[env, contact] = by_sizes_b(p_b, contact_point.point_b, contact_point.normal)
 
     return measure_gradients

@@ -132,6 +132,6 @@ def test_sensor_arrays_of_all_parts_are_refused_together(device, monkeypatch):
         model.sensor("touch.point")
     with pytest.raises(MemoryError, match=r"^to measure them, 100 environments need"):
         sim.run(1e-3, ["touch.point"])
-    assert [part.arrays.points for part in model.parts] == [None, None]
+    assert [part.unallocated({"points"}) for part in model.parts] == [["points"]] * 2
     set_available_memory(monkeypatch, None)
     assert model.sensor("touch.point").shape == (100, 3)

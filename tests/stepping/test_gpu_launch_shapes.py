@@ -342,7 +342,7 @@ def history_of(sim):
                 continue
             values = getattr(group.history_in, part).numpy()
             found |= {f"history of {part} {number}: {field}": values[field] for field in values.dtype.names}
-    for contact_set in model.particle_contact_sets:
+    for contact_set in model.of_family("particle contact"):
         closed = (contact_set.pair_records.flags.numpy() & WAS_IN_CONTACT) != 0
         found[f"{contact_set.contact.name} closed"] = closed
         found[f"{contact_set.contact.name} entry_speed"] = np.where(

@@ -6,7 +6,6 @@ import xarray as xr
 from scenes import dropped_sphere, square
 
 import warpcontact as wc
-from warpcontact.model.sensor_evaluation import SLICE_NEEDS
 from warpcontact.stepping import requirements, worker_pool
 from warpcontact.stepping.frame_recording import record_frames
 from warpcontact.stepping.recorder import Recorder
@@ -169,7 +168,7 @@ def test_sensors_of_every_kind_are_recorded(precision, device, in_slices):
     for sim in sims:
         sim.model["two.linear_velocity"] = np.linspace((0, 0, -1), (2, 0, -2), 5)
     sim, stopped = sims
-    names = [name for name in sim.model.sensor_names if SLICE_NEEDS.issuperset(sim.model.find_sensor(name).needs)]
+    names = [name for name in sim.model.sensor_names if sim.model.are_by_slice(sim.model.find_sensor(name).needs)]
     assert {"one.position", "feet_of_two.status", "feet_of_two.friction.deflection", "scene.kinetic_energy"} <= {
         *names
     }

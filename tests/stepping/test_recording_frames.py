@@ -12,9 +12,8 @@ from test_step_schedules import ENVS, SCENES, STATE, start
 import warpcontact as wc
 from warpcontact.forces import execution_plan
 from warpcontact.forces.execution_plan import ExecutionPlan, force_stages
-from warpcontact.model import sensor_evaluation
 from warpcontact.model.model import ZERO_WITHOUT_CONTACT
-from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, check_needs
+from warpcontact.model.sensor_evaluation import can_evaluate_by_slice
 from warpcontact.stepping import requirements, slice_stepper, worker_pool
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.slice_stepper import StepChunk
@@ -221,8 +220,10 @@ def test_successive_recordings_have_their_own_frames(device):
 
 def test_evaluation_needs_cover_all_sensors(device):
     models = [make().build(device=device) for make in memory_scenes.SCENES.values()]
-    needs = {need for model in models for sensor in model.parts[0].sensors.values() for need in sensor.needs}
-    assert check_needs(needs) == needs == sensor_evaluation.ALL_NEEDS
+    needs_of = [{need for sensor in model.sensors.values() for need in sensor.needs} for model in models]
+    for model, needs in zip(models, needs_of, strict=True):
+        assert model.check_needs(needs) == needs
+    assert set().union(*needs_of) == {need for model in models for need in model.needs}
 
 
 @pytest.mark.parametrize("name", ["two bodies", "nonsmooth", "particles"])
@@ -253,7 +254,7 @@ def test_contact_evaluation_does_not_accumulate_wrenches(name, device):
             1,
             1,
             ("bodies", "contacts"),
-            r"unknown needs \['bodies'\]; possible needs: \['contact_coup",
+            r"unknown needs \['bodies'\]; possible needs: \['contacts', 'distances'",
         ),
     ],
 )
@@ -323,7 +324,7 @@ def test_frames_of_nonsmooth_contact_contain_all_environments(device):
     start(model)
     sim = wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean(), threads=2)
     needs = {*model.find_sensor("lower.normal_force").needs}
-    assert not can_evaluate_by_slice(model.device, model.nonsmooth, needs)
+    assert not can_evaluate_by_slice(model, model.device, nonsmooth=True, needs=needs)
     frames = []
 
     def take(part, own, number):

@@ -38,8 +38,6 @@ class ContactGroup:
         cluster_count: Number of clusters.
         first_set: Index of the first point set.
         set_count: Number of point sets.
-        first_coupling: Index of the first contact coupling that consists of these contacts.
-        coupling_count: Number of contact couplings.
         coefficients: Struct of arrays [env, contact of the group], one per part.
         history_in: Struct of such arrays: history variables of the last accepted step.
         history_out: Struct of such arrays: history variables of the current step, stored if it is accepted.
@@ -55,8 +53,6 @@ class ContactGroup:
     cluster_count: int
     first_set: int
     set_count: int
-    first_coupling: int
-    coupling_count: int
     coefficients: Any
     history_in: Any
     history_out: Any
@@ -131,7 +127,6 @@ def make_group(
         count,
         *clusters.range_of_contacts(first, count),
         *clusters.set_range_of_contacts(first, count),
-        *couplings.range_of_contacts(contacts),
         coefficients,
         history_in,
         history_out,

@@ -3,18 +3,22 @@
 ``ExecutionPlan`` selects how a range of environments is computed: stage by stage, with narrow phase and contact
 force fused, or with the whole step fused. The functions ``*_stages`` return the launches of one stage:
 
-    motion bounds → broad and narrow phase → couplings → shape contacts → contact forces → wrenches → particles
+    motion bounds → broad and narrow phase → forces at ends → contact forces → sums of wrenches → forces added to them
     → integration → swept test → monitors → accept → history
 
-Integrators (``integrators/``) build the stages from couplings to the swept test. On one device all variants give
+Force elements (``force_element.py``) provide the launches of detection, forces and history.
+
+Integrators (``integrators/``) build the stages from forces to the swept test. On one device all variants give
 bitwise identical results.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.forces.force_element import ForceTarget
 from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.broadphase import (
     contact_detection,
@@ -24,7 +28,6 @@ from warpcontact.kernels.broadphase import (
     swept,
 )
 from warpcontact.kernels.contact import history, wrenches
-from warpcontact.kernels.couplings import contact_coupling
 from warpcontact.kernels.integrators import semi_implicit
 from warpcontact.kernels.launch_shapes import fused_contact, fused_contact_grid, fused_step, fused_steps_cpu
 from warpcontact.kernels.lowlevel import warps
@@ -42,6 +45,7 @@ from warpcontact.system.compilation import disable_fma
 
 if TYPE_CHECKING:
     from warpcontact.forces.contact_groups import ContactGroup
+    from warpcontact.forces.force_element import ForceElement
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
     from warpcontact.model.model import DeviceModel
 
@@ -91,9 +95,14 @@ class ExecutionPlan:
     slice: wp.array | None = None
 
     @property
+    def force_elements(self) -> "tuple[ForceElement, ...]":
+        """All force elements in launch order; the nonsmooth contacts are the last one."""
+        return (*self.model.force_elements, *([] if self.nonsmooth is None else [self.nonsmooth]))
+
+    @property
     def other_forces(self) -> tuple[bool, bool]:
-        """Whether there are couplings or shape contacts, and whether there are external forces."""
-        return bool(self.model.couplings or self.model.shape_contact_sets), self.model.has_external_forces
+        """Whether force elements have forces at their ends, and whether there are external forces."""
+        return self.model.has_ends, self.model.has_external_forces
 
     @property
     def is_small(self) -> bool:
@@ -105,10 +114,8 @@ class ExecutionPlan:
         """Whether the integrator can sum the cluster and particle wrenches of a body itself."""
         model = self.model
         few_clusters = model.device.is_cpu or model.clusters.max_per_body <= MAX_SUMMED_CLUSTERS
-        return few_clusters and (
-            not model.particle_contact_sets
-            or (len(model.particle_contact_sets) == 1 and model.particle_contact_sets[0].sums_by_body)
-        )
+        adding = model.elements_added_to_bodies
+        return few_clusters and (not adding or (len(adding) == 1 and adding[0].sums_by_body))
 
     @property
     def fuses_contact(self) -> bool:
@@ -117,7 +124,8 @@ class ExecutionPlan:
         On a CPU this requires meshes without face grids; with work queues, face grids and clusters of one contact.
         """
         model = self.model
-        needs_outputs = self.write_outputs or model.has_latched_contacts or self._has_contact_couplings
+        read = any(element.reads_contacts for element in model.force_elements)
+        needs_outputs = self.write_outputs or model.has_latched_contacts or read
         uses_face_grid, single_contacts = (
             model.arrays.uses_face_grid,
             model.clusters.width == 1 and len(model.groups) == 1,
@@ -138,17 +146,10 @@ class ExecutionPlan:
         )
 
     @property
-    def _has_contact_couplings(self) -> bool:
-        """Whether there are contact couplings, which need the position of each contact."""
-        return any(group.coupling_count for group in self.model.groups)
-
-    @property
     def _single_body(self) -> bool:
         """Whether environments have one free body and no latched contacts."""
         model = self.model
-        return model.body_count == 1 and not (
-            model.has_joints or model.prescribed_motions or model.has_latched_contacts
-        )
+        return model.body_count == 1 and not (model.has_joints or model.has_latched_contacts)
 
     @property
     def fuses_step(self) -> bool:
@@ -176,14 +177,8 @@ class ExecutionPlan:
 
     @property
     def _has_other_forces(self) -> bool:
-        """Whether bodies have force elements other than point contacts and external forces."""
-        model = self.model
-        return bool(
-            model.couplings
-            or model.shape_contact_sets
-            or model.particle_contact_sets
-            or self._has_contact_couplings
-        )
+        """Whether bodies have force elements that fused kernels do not compute."""
+        return not all(element.fused for element in self.model.force_elements)
 
     def prepare(
         self,
@@ -242,53 +237,34 @@ def force_stages(
         state: State of the environments.
         step: Time over which the forces act [env, 0] [s]; zeros for instantaneous forces.
         status: Status of the environments [env]. Environments that are not active are skipped.
-        by_cluster: Whether to leave the wrenches of clusters and particle contacts unsummed. The integrator sums
-            them, or they are not needed.
+        by_cluster: Whether to leave the wrenches of clusters, and those added to bodies, unsummed. The integrator
+            sums them, or they are not needed.
     """
     model = plan.model
     a, real = model.arrays, model.types.real
     ordered_sum = plan.ordered_sum or by_cluster
-    evaluated = state is plan.evaluated_state
-    fuses_contact = plan.fuses_contact and not evaluated
-    launches = [] if evaluated or fuses_contact else detection_stages(plan, state, status)
-    for couplings in model.couplings:
-        launches += couplings.force_stages(plan, state, status)
-    for contacts in model.shape_contact_sets:
-        launches += contacts.force_stages(plan, state, step, status)
+    elements = plan.force_elements
+
+    def forces(target: ForceTarget) -> list[wp.Launch]:
+        acting = [one for one in elements if one.target is target]
+        each = (one.force_launches(plan, state, step, status, by_cluster=by_cluster) for one in acting)
+        return list(itertools.chain(*each))
+
+    launches = list(itertools.chain(*(one.detection_launches(plan, state, status) for one in elements)))
+    launches += forces(ForceTarget.ENDS)
     if not ordered_sum:
         kernel = wrenches.clear(real, *plan.other_forces)
         inputs = [status, a.cache.queue_count, a.model, a.coupling_wrenches, a.wrenches]
         launches += plan.prepare(kernel, model.body_count, inputs)
-    for group in model.groups:
-        if fuses_contact:
-            launches += _fused_contact_stages(plan, group, state, step, status, ordered_sum=ordered_sum)
-            continue
-        clusters = [(group.first_cluster, group.cluster_count)]
-        for first_cluster, count in (
-            clusters if plan.nonsmooth is None else plan.nonsmooth.compliant_clusters(group)
-        ):
-            inputs = [status, a.model, state, a.history, group.history_in, step, first_cluster]
-            inputs += [
-                group.first,
-                group.coefficients,
-                a.contacts,
-                group.history_out,
-                a.active_contacts,
-                plan.write_outputs,
-                ordered_sum,
-            ]
-            inputs += [a.wrenches]
-            launches += plan.prepare(group.kernel, count, inputs)
+    launches += forces(ForceTarget.CLUSTERS)
     if ordered_sum and not by_cluster:
         kernel = wrenches.sum_by_body(real, *plan.other_forces)
         inputs = [status, a.cache.queue_count, a.model, a.active_contacts, a.coupling_wrenches, a.wrenches]
         launches += plan.prepare(kernel, model.body_count, inputs)
-    for particle_set in model.particle_contact_sets:
-        launches += particle_set.force_stages(plan, state, step, status, by_cluster=by_cluster)
-    return launches
+    return launches + forces(ForceTarget.BODIES)
 
 
-def _fused_contact_stages(
+def fused_contact_stages(
     plan: ExecutionPlan, group: "ContactGroup", state: Any, step: wp.array, status: wp.array, *, ordered_sum: bool
 ) -> list[wp.Launch]:
     """Returns the launches that detect the contacts of a group and compute their forces in one kernel."""
@@ -416,38 +392,8 @@ def accept_stages(
         launches += plan.prepare(
             history.kernel(real, model.has_latched_contacts, single_launch), model.clusters.count, inputs
         )
-    for group in model.groups:
-        if group.coupling_count:
-            launches += plan.prepare(
-                contact_coupling.advance(group.parts.law, real, group.projected),
-                group.coupling_count,
-                [
-                    a.status,
-                    a.model,
-                    state_in,
-                    a.contacts,
-                    a.active_contacts,
-                    a.coupling_contacts,
-                    group.first_coupling,
-                    group.first,
-                    group.coefficients.law,
-                    a.coupling_extremes,
-                ],
-            )
-        for formula, history_in, history_out in group.histories():
-            launches += plan.prepare(
-                history.material_history_kernel(formula, real),
-                group.cluster_count,
-                [a.status, a.model, a.active_contacts, group.first_cluster, group.first, history_out, history_in],
-            )
-    for couplings in model.couplings:
-        launches += couplings.accept_stages(plan)
-    for contacts in model.shape_contact_sets:
-        launches += contacts.accept_stages(plan)
-    for particle_set in model.particle_contact_sets:
-        launches += particle_set.accept_stages(plan)
-    if plan.nonsmooth is not None:
-        launches += plan.nonsmooth.accept_stages(plan, dt.real)
+    for element in plan.force_elements:
+        launches += element.accept_launches(plan, dt, state_in)
     return launches
 
 

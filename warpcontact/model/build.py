@@ -1,45 +1,38 @@
 """Plans models of scenes: ``SceneData`` → ``DeviceModelPlan``, one per device.
 
-``plan_on_devices`` declares the arrays and parameters of bodies, points, surfaces and contacts without allocating
-them. ``DeviceModel`` allocates them.
+``plan_on_devices`` declares the arrays and parameters of bodies, surfaces, points and force elements without
+allocating them. ``DeviceModel`` allocates them.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.algebra.poses import transform_points
-from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
-from warpcontact.forces.contact_groups import group_by_model, make_group
-from warpcontact.forces.couplings.ends import add_ends
-from warpcontact.forces.couplings.sets import make_sets
-from warpcontact.forces.joints.joint_data import add_motions
-from warpcontact.forces.particle_contact.contact_set import make_particle_contact_sets
+from warpcontact.forces.contact_table import SceneContacts, declare_contacts
+from warpcontact.forces.ends import Ends
+from warpcontact.forces.force_element import BuildContext
+from warpcontact.forces.registry import declare_force_elements
 from warpcontact.forces.shape_contact.shape_sets import make_shape_sets
-from warpcontact.geometry.contact_clusters import ContactClusters, make_clusters, upload_clusters
 from warpcontact.geometry.face_grid import make_grids
-from warpcontact.geometry.query_mesh import QueryMeshCache, QueryMeshes, make_query_meshes, upload_query_meshes
+from warpcontact.geometry.query_mesh import QueryMeshCache
 from warpcontact.kernels import types
 from warpcontact.model.core_arrays import declare_arrays
 from warpcontact.model.plan import DeviceModelPlan
 from warpcontact.model.quarantine import add_guard
 from warpcontact.model.sensors import sensors_of
 from warpcontact.scene import elements as limits_of
-from warpcontact.scene.elements import Body, Contact
+from warpcontact.scene.elements import Body
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.model_arrays import ModelArrays
-from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack, split
+from warpcontact.storage.parameters import DeviceField, Field, Parameter, Parameters, split
 from warpcontact.system.devices import find_devices
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
-
-if TYPE_CHECKING:
-    from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
@@ -62,101 +55,61 @@ def plan_on_devices(
     if not scene.bodies:
         raise ValueError("the scene has no body; add_body adds one")
     devices = find_devices(device)
-    groups = group_by_model(scene.contacts)
-    contacts = [contact for group in groups for contact in group]
     # Tables that are the same on all devices.
-    clusters = make_clusters(contacts, sum(body.count for body in scene.bodies))
-    common = _SharedTables(
-        scene.snapshot(), precision, groups, contacts, clusters, make_query_meshes(contacts, mesh_cache)
-    )
-    return tuple(_plan_on_device(target, common) for target in devices)
+    contacts = SceneContacts.of(scene, mesh_cache)
+    common = scene.snapshot()
+    return tuple(_plan_on_device(target, common, precision, contacts) for target in devices)
 
 
-@dataclass(frozen=True)
-class _SharedTables:
-    """Host tables that the parts of a model share.
-
-    Attributes:
-        scene: Copy of the scene.
-        precision: Precision of state and forces.
-        groups: Contacts, grouped by contact model.
-        contacts: All contacts in the order of the groups, which is their order on the device.
-        clusters: Clusters of contacts.
-        query_meshes: Query meshes of the contacts.
-    """
-
-    scene: SceneData
-    precision: str
-    groups: list[list[Contact]]
-    contacts: list[Contact]
-    clusters: ContactClusters
-    query_meshes: QueryMeshes
-
-
-def _plan_on_device(target: wp.Device, common: _SharedTables) -> DeviceModelPlan:
-    """Plans the model of one device."""
-    scene, contacts, clusters = common.scene, common.contacts, common.clusters
-    contact_couplings = ContactCouplings.order(scene.contact_couplings, contacts)
-    t = types.structs(PRECISIONS[common.precision])
+def _plan_on_device(
+    target: wp.Device, scene: SceneData, precision: str, contacts: SceneContacts
+) -> DeviceModelPlan:
+    """Plans the model of one device: bodies, surfaces and points, contacts and shapes, and then force elements."""
+    t = types.structs(PRECISIONS[precision])
     layout = AllocationPlan(target)
     parameters = Parameters(target, t.real)
-    starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
-    start_of = dict(zip(contacts, starts, strict=False))
-
-    body_count = sum(body.count for body in scene.bodies)
-    grids = make_grids(common.query_meshes, target, t)
-    arrays = declare_arrays(scene, t, layout, clusters, common.query_meshes, uses_face_grid=grids is not None)
+    ends = Ends()
+    grids = make_grids(contacts.query_meshes, target, t)
+    arrays = declare_arrays(
+        scene, t, layout, contacts.clusters, contacts.query_meshes, ends, uses_face_grid=grids is not None
+    )
     arrays.guard = add_guard(scene, layout, parameters, t.real)
     gravity = Field(scene.gravity[None])
     device_field = parameters.device_field(arrays.model, "gravity", t.vec3, lambda: gravity.values)
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [device_field], tail=(3,))
     _add_bodies(scene, arrays, parameters, t)
-    prescribed_motions = add_motions(scene, arrays, layout, parameters)
     _add_surfaces(scene, arrays, layout, parameters, t)
     point_positions, position_parameters = _add_points(scene, arrays, layout, parameters, t)
-    dependent_fields = upload_clusters(clusters, contacts, arrays.model, layout, parameters, t, point_positions)
-    for parameter in position_parameters:
-        parameter.device_fields.extend(dependent_fields)
-    contact_couplings.declare(arrays, layout, t)
-    point_count = sum(points.count for points in scene.points)
-    contact_couplings.upload_normals(arrays.model, point_count, parameters, t)
-    meshes = upload_query_meshes(common.query_meshes, grids, arrays.model, layout, t)
-    _add_contacts(
-        contacts, start_of, common.query_meshes.first_of_contact, contact_couplings, arrays, layout, parameters, t
+    table = declare_contacts(
+        scene, contacts, grids, arrays, layout, parameters, t, point_positions, position_parameters
     )
-    couplings = make_sets(scene, layout, parameters, t)
-    has_joints = any(body.motion.kind != types.FREE for body in scene.bodies)
-    shapes = make_shape_sets(scene.shapes, parameters)
-    shape_contact_sets: list[ShapeContactSet] = []
-    if scene.shape_contacts:  # import on demand, because Warp parses all functions of imported kernel modules
-        from warpcontact.forces.shape_contact.contact_sets import make_shape_contact_sets
-
-        shape_contact_sets = make_shape_contact_sets(scene, shapes, layout, parameters, t.real, has_joints)
-    particle_contact_sets = make_particle_contact_sets(scene, layout, parameters, t)
-    add_ends(couplings, shape_contact_sets, body_count, arrays.model, layout)
-    groups = [
-        make_group(group, start_of[group[0]], contact_couplings, clusters, layout, parameters, t.real, has_joints)
-        for group in common.groups
-    ]
+    context = BuildContext(
+        scene=scene,
+        types=t,
+        layout=layout,
+        parameters=parameters,
+        arrays=arrays,
+        contacts=table,
+        shapes=make_shape_sets(scene.shapes, parameters),
+        ends=ends,
+        has_joints=any(body.motion.kind != types.FREE for body in scene.bodies),
+    )
+    force_elements = declare_force_elements(context)
+    ends.declare(sum(body.count for body in scene.bodies), arrays.model, layout)
     return DeviceModelPlan(
         scene=scene,
         device=target,
-        precision=common.precision,
+        precision=precision,
         types=t,
         layout=layout,
         arrays=arrays,
         parameters=parameters,
-        groups=groups,
-        couplings=couplings,
-        shape_contact_sets=shape_contact_sets,
-        particle_contact_sets=particle_contact_sets,
-        prescribed_motions=prescribed_motions,
-        clusters=clusters,
-        sensors=sensors_of(
-            scene, t, start_of, groups, contact_couplings, couplings, shape_contact_sets, particle_contact_sets
-        ),
-        side_regions=common.query_meshes.side_regions(),
-        meshes=meshes,
+        force_elements=force_elements,
+        groups=table.groups,
+        clusters=table.clusters,
+        sensors=sensors_of(scene, t, force_elements),
+        side_regions=contacts.query_meshes.side_regions(),
+        meshes=table.meshes,
     )
 
 
@@ -311,82 +264,6 @@ def _add_surfaces(
             allowed = limits("-", at_least=0.0, at_most=len(surface.meshes) - 1.0)
             name = f"{surface.name}.mesh"
             parameters.add(name, mesh_index, items, allowed, [device_mesh_index], whole=True)
-
-
-def _add_contacts(
-    contacts: list[Contact],
-    start_of: dict[Contact, int],
-    first_mesh_of: dict[Contact, int],
-    couplings: ContactCouplings,
-    arrays: ModelArrays,
-    layout: AllocationPlan,
-    parameters: Parameters,
-    t: types.Structs,
-) -> None:
-    model = arrays.model
-    counts = np.array([contact.count for contact in contacts], dtype=np.intp)
-
-    def add_constant(name: str, of_contact: list[int], values: Any = 0) -> None:
-        each = np.repeat(np.array(of_contact, dtype=np.int32), counts)
-        layout.constant("contacts", model, name, each + values, wp.int32)
-
-    items_of = [np.arange(count) for count in counts]
-    starts = [contact.points.start for contact in contacts]
-    add_constant("contact_point", starts, np.concatenate([np.zeros(0, dtype=np.int32), *items_of]))
-    add_constant("contact_query_mesh", [first_mesh_of[contact] for contact in contacts])
-    options = [
-        types.LATCHED * (contact.entry == "latched")
-        + types.BOUNDARY_OUTER * (contact.boundary == "outer")
-        + types.HERTZ_TORSION * (contact.torsion_radius is None)
-        + types.SWEPT * contact.swept
-        + types.FORCE_AT_POINT * (contact.facing is not None)
-        for contact in contacts
-    ]
-    add_constant("contact_options", options)
-
-    ranges = {
-        "radius": limits_of.RADIUS,
-        "kappa": limits_of.KAPPA,
-        "max_depth": limits_of.MAX_DEPTH,
-        "search_radius": limits_of.SEARCH_RADIUS,
-        "torsion_radius": limits_of.TORSION_RADIUS,
-        "force_scale": limits_of.FORCE_SCALE,
-        "enabled": limits_of.ENABLED,
-    }
-
-    def values_of(contact: Contact, key: str) -> Array:
-        value = getattr(contact, key)
-        # 0 stands for a torsion radius that is computed from the penetration.
-        return np.broadcast_to(0.0 if value is None else value, contact.count)
-
-    fields = {
-        key: Field(np.concatenate([np.zeros(0), *(values_of(contact, key) for contact in contacts)]))
-        for key in ranges
-    }
-    fields["closed"] = Field(np.zeros(counts.sum()))
-    struct = t.ContactGeometry
-    device_field = parameters.device_field(
-        model, "contact_geometry", struct, lambda: pack(struct, {key: one.values for key, one in fields.items()})
-    )
-    arrays.closed = ClosedGap(fields["closed"], device_field)
-    for contact in contacts:
-        items = slice(start_of[contact], start_of[contact] + contact.count)
-        own = dict(ranges)
-        if contact in couplings.of or limits_of.needs_radius(contact.material, contact.torsion_radius is not None):
-            own["radius"] = limits("m", above=0.0)
-        for key, allowed in own.items():
-            if getattr(contact, key) is None:
-                continue
-            parameters.add(
-                f"{contact.name}.{key}",
-                fields[key],
-                items,
-                allowed,
-                [device_field],
-                single=contact.points.single,
-                convert=checks.switches if key == "enabled" else None,
-            )
-    couplings.add_geometry(start_of, fields, parameters, device_field)
 
 
 def _add_vector(

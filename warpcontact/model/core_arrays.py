@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from warpcontact.forces.ends import Ends
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.query_mesh import QueryMeshes
 from warpcontact.kernels import types
@@ -22,6 +23,7 @@ def declare_arrays(
     layout: AllocationPlan,
     clusters: ContactClusters,
     query_meshes: QueryMeshes,
+    ends: Ends,
     *,
     uses_face_grid: bool,
 ) -> ModelArrays:
@@ -33,11 +35,11 @@ def declare_arrays(
         layout: Allocation plan to which the arrays are added.
         clusters: Clusters of contacts.
         query_meshes: Query meshes of the contacts.
+        ends: Ends of force elements; the elements are declared later.
         uses_face_grid: Whether queries use face grids; there is no face cache then.
     """
     contacts = len(clusters.contact)
     body_count = sum(body.count for body in scene.bodies)
-    ends = 2 * (len(scene.couplings) + sum(contact.count for contact in scene.shape_contacts))
     bodies, each, parts = per_env(body_count), per_env(contacts), per_env(clusters.count)
     # Interleave: only a few of many contacts are accessed. With one contact per environment, all are, in order.
     records = contacts > 1
@@ -46,7 +48,10 @@ def declare_arrays(
         initial=t.State(),
         state=layout.struct("state", t.State, bodies),
         wrenches=layout.struct("state", t.Wrenches, bodies, transient=True),
-        coupling_wrenches=layout.struct("couplings", t.CouplingWrenches, per_env(ends), transient=True),
+        # The number of ends is known after all force elements are declared.
+        coupling_wrenches=layout.struct(
+            "couplings", t.CouplingWrenches, lambda envs: (envs, ends.count), transient=True
+        ),
         history=layout.struct(
             "contacts",
             t.History,

@@ -13,8 +13,7 @@ from warpcontact.forces.sensor import Sensor
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import explain_renamed, stored_name
 from warpcontact.model.health import Health
-from warpcontact.model.scene_traits import SENSOR_ARRAYS
-from warpcontact.model.sensor_evaluation import CONTACT_NEEDS
+from warpcontact.model.scene_traits import CONTACT_NEEDS
 from warpcontact.scene.couplings import Catenary
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.memory_estimate import MemoryEstimate, env_count_text, require, total
@@ -279,11 +278,7 @@ class Environments(
         Raises:
             MemoryError: If the arrays do not fit into memory.
         """
-        missing = [
-            name
-            for name in SENSOR_ARRAYS
-            if name in needs and any(getattr(part.arrays, name) is None for part in self.parts)
-        ]
+        missing = {name for part in self.parts for name in part.unallocated(needs)}
         if not missing:
             return
 
@@ -299,10 +294,12 @@ class Environments(
 
     def last_value(self, name: str) -> NDArray[Any]:
         """Returns the last computed value of sensor ``name`` in a new array."""
-        if "particles" in self.find_sensor(name).needs:
-            self.check_neighbor_lists()
-        # On a CPU ``numpy()`` is a view of memory that the next step overwrites; ``concatenate`` copies it.
         sensor = self.find_sensor(name)
+        for part in self.parts:
+            for element in part.force_elements:
+                if not element.needs().keys().isdisjoint(sensor.needs):
+                    element.check()
+        # On a CPU ``numpy()`` is a view of memory that the next step overwrites; ``concatenate`` copies it.
         values = [part.sensors[sensor.name].array(part.arrays).numpy() for part in self.parts]
         return sensor.finish(np.concatenate(values))
 
@@ -348,7 +345,7 @@ class Environments(
         return [
             (part, lines, item)
             for part in self.parts
-            for lines in part.couplings
+            for lines in part.force_elements
             if isinstance(lines, CatenarySet)
             for item, one in enumerate(lines.couplings)
             if one.name == name
@@ -374,7 +371,7 @@ class Environments(
                 [
                     own.failures(contact).max(axis=1)
                     for part in self.parts
-                    for own in part.shape_contact_sets
+                    for own in part.of_family("shape contact")
                     if contact in own.items
                 ]
             )
@@ -434,7 +431,7 @@ class Environments(
             [
                 (part, part.first_env - self.first_env, particle_set)
                 for part in self.parts
-                for particle_set in part.particle_contact_sets
+                for particle_set in part.of_family("particle contact")
                 if particle_set.contact.name == name
             ]
         )
@@ -446,9 +443,8 @@ class Environments(
             RuntimeError: If a neighbor list was too short in any environment since its reset.
         """
         for part in self.parts:
-            for particle_set in part.particle_contact_sets:
-                if problem := particle_set.overflow_message():
-                    raise RuntimeError(problem)
+            for element in part.force_elements:
+                element.check()
 
     def health(self) -> Health:
         """Returns the frozen environments with causes and times, and the stopped ones.
@@ -474,6 +470,6 @@ class Environments(
         first = self.parts[0]
         return (
             f"<{type(self).__name__} of {env_count_text(self.envs)}: {first.body_count} bodies, "
-            f"{first.contact_count + first.shape_contact_count} contacts, {self.precision} on "
+            f"{sum(element.contact_count for element in first.force_elements)} contacts, {self.precision} on "
             f"{', '.join(map(str, self.devices))}>"
         )

@@ -15,8 +15,8 @@ from warpcontact.forces.contact_groups import ContactGroup
 from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.model.environments import Environments
 from warpcontact.model.plan import DeviceModelPlan
-from warpcontact.model.scene_traits import SENSOR_ARRAYS, SHAPE_CONTACT_MEASURES, SceneTraits
-from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages, needs_contacts
+from warpcontact.model.scene_traits import SceneTraits
+from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages
 from warpcontact.scene.elements import Contact
 from warpcontact.storage.allocation_plan import broadcast
 from warpcontact.storage.memory_estimate import MemoryItem
@@ -93,11 +93,8 @@ class DeviceModel(Environments, SceneTraits):
         self.types = plan.types
         self.layout = plan.layout
         self.arrays = plan.arrays
+        self.force_elements = plan.force_elements
         self.groups = plan.groups
-        self.couplings = plan.couplings
-        self.shape_contact_sets = plan.shape_contact_sets
-        self.particle_contact_sets = plan.particle_contact_sets
-        self.prescribed_motions = plan.prescribed_motions
         self.clusters = plan.clusters
         self.parameters = plan.parameters.by_name
         self.first_env = 0
@@ -195,7 +192,7 @@ class DeviceModel(Environments, SceneTraits):
             self.nonsmooth.deactivate(self)
             for own in self.nonsmooth.sensors():
                 del self.sensors[own.name]
-        self.nonsmooth = self.arrays.nonsmooth = nonsmooth
+        self.nonsmooth = nonsmooth
         if nonsmooth is not None:
             nonsmooth.activate(self)
             self.sensors.update((own.name, own) for own in nonsmooth.sensors())
@@ -230,9 +227,11 @@ class DeviceModel(Environments, SceneTraits):
 
     def sets_initial_state(self, parameter: Parameter) -> bool:
         """Returns whether ``parameter`` is part of the initial state."""
-        starts = [self.arrays.initial, *(motion_set.arrays for motion_set in self.prescribed_motions)]
         return any(
-            device_field.attribute == "body_motion" or any(device_field.struct is start for start in starts)
+            device_field.struct is self.arrays.initial
+            or any(
+                one.sets_initial_state(device_field.struct, device_field.attribute) for one in self.force_elements
+            )
             for device_field in parameter.device_fields
         )
 
@@ -240,7 +239,6 @@ class DeviceModel(Environments, SceneTraits):
     def reset_state(self, mask: NDArray[np.bool_]) -> None:
         """Resets the environments of ``mask`` (envs,) to their initial state, with empty history."""
         from warpcontact.kernels.acceptance import reset
-        from warpcontact.kernels.couplings import contact_coupling
 
         a = self.arrays
         chosen = wp.array(mask, dtype=wp.bool, device=self.device)
@@ -265,48 +263,12 @@ class DeviceModel(Environments, SceneTraits):
             ],
             device=self.device,
         )
-        if a.coupling_extremes is not None:
-            wp.launch(
-                contact_coupling.reset(self.types.real),
-                dim=(self.envs, len(self.scene.contact_couplings)),
-                inputs=[chosen, a.coupling_extremes],
-                device=self.device,
-            )
-        for group in self.groups:
-            for formula, history_in, _ in group.histories():
-                wp.launch(
-                    reset.memory(formula, self.types.real),
-                    dim=(self.envs, group.count),
-                    inputs=[chosen, history_in],
-                    device=self.device,
-                )
-        for couplings in self.couplings:
-            couplings.reset_state(chosen, self.envs)
-        for contacts in self.shape_contact_sets:
-            contacts.reset_state(chosen, self.envs)
-        for particle_set in self.particle_contact_sets:
-            particle_set.reset_state(chosen, self.envs)
+        for element in self.force_elements:
+            element.reset_state(chosen)
         if self.nonsmooth is not None:
             self.nonsmooth.reset_state(chosen)
         if self.monitor is not None:
             self.monitor.reset_state(chosen)
-        if self.has_joints:
-            self._start_motions(chosen)
-
-    def _start_motions(self, chosen: wp.array) -> None:
-        """Projects initial velocities onto the joints, and sets bodies with prescribed motion to their start."""
-        from warpcontact.kernels.joints import driven, step
-
-        a, real = self.arrays, self.types.real
-        shape = (self.envs, self.body_count)
-        wp.launch(step.project_velocities(real), dim=shape, inputs=[chosen, a.model, a.state], device=self.device)
-        for motion_set in self.prescribed_motions:
-            wp.launch(
-                driven.start(motion_set.motion, real),
-                dim=(self.envs, motion_set.count),
-                inputs=[chosen, a.time, a.model, *motion_set.inputs, a.state],
-                device=self.device,
-            )
 
     @shared_capture_lock()
     def evaluation_launches(self, needs: Set[str], own: wp.array | None = None) -> list[wp.Launch]:
@@ -335,59 +297,24 @@ class DeviceModel(Environments, SceneTraits):
 
     def evaluate_remaining_needs(self, needs: Set[str]) -> None:
         """Computes the rest of ``needs``, after ``evaluation_launches`` ran for all environments."""
-        if self.nonsmooth is not None and needs_contacts(needs):
+        if self.nonsmooth is not None and self.needs_contacts(needs):
             self.nonsmooth.show(self)
-        if "reactions" in needs:
-            self._evaluate_reactions()
-        if "contact_couplings" in needs:
-            self._evaluate_contact_couplings()
-        for name in SHAPE_CONTACT_MEASURES:
-            if name in needs:
-                from warpcontact.forces.shape_contact.measures import measure
-
-                measure(name, self)
-        if "particles" in needs:
-            for particle_set in self.particle_contact_sets:
-                particle_set.measure(self.envs, self.device)
+        for element in self.force_elements:
+            element.measure(self, needs)
 
     @shared_capture_lock()
-    def allocate_sensor_arrays(self, names: Collection[str]) -> None:
-        """Allocates the arrays in ``SENSOR_ARRAYS`` with ``names`` that are not allocated yet."""
-        arrays_by_need = {
-            name: SENSOR_ARRAYS[name](self.layout, self) for name in names if getattr(self.arrays, name) is None
-        }
+    def allocate_sensor_arrays(self, needs: Collection[str]) -> None:
+        """Allocates those arrays of sensors with ``needs`` that are not allocated yet."""
+        declared = self.declare_sensor_arrays(self.layout, self.unallocated(needs))
         self.layout.allocate(self.envs)
-        for name, arrays in arrays_by_need.items():
-            setattr(self.arrays, name, arrays)
+        for table, name, arrays in declared:
+            table[name] = arrays
 
     def memory_items(self) -> list[MemoryItem]:
         """Returns the memory of the arrays, on the device and on the host."""
         return self.layout.memory_items(self.envs) + parameter_memory(
             self.parameters, self._device_fields, self.envs
         )
-
-    def _evaluate_reactions(self) -> None:
-        from warpcontact.kernels.joints import driven, measures
-
-        a, real = self.arrays, self.types.real
-        for motion_set in self.prescribed_motions:
-            wp.launch(
-                driven.accelerate(motion_set.motion, real),
-                dim=(self.envs, motion_set.count),
-                inputs=[a.time, a.model, *motion_set.inputs],
-                outputs=[a.reactions.linear, a.reactions.angular],
-                device=self.device,
-            )
-        inputs, shape = [a.model, a.state, a.wrenches], (self.envs, self.body_count)
-        wp.launch(measures.reactions(real), dim=shape, inputs=inputs, outputs=[a.reactions], device=self.device)
-
-    def _evaluate_contact_couplings(self) -> None:
-        from warpcontact.kernels.couplings import contact_coupling
-
-        a, shape = self.arrays, (self.envs, len(self.scene.contact_couplings))
-        kernel = contact_coupling.measure(self.types.real)
-        inputs = [a.model, a.state, a.contacts, a.coupling_contacts]
-        wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.contact_couplings], device=self.device)
 
     def group_of(self, contact: Contact) -> tuple[ContactGroup, int]:
         """Returns the contact group of ``contact``, and the index of its first item in the group."""
@@ -411,5 +338,5 @@ class DeviceModel(Environments, SceneTraits):
         clusters = (cache.cluster_safe_travel, cache.cluster_probe_travel, cache.cluster_inactive)
         for cached in (cache.set_safe_travel, *clusters, cache.safe_travel, cache.face_count, cache.clearance):
             cached.zero_()
-        for particle_set in self.particle_contact_sets:
-            particle_set.invalidate_lists()
+        for element in self.force_elements:
+            element.invalidate_caches()

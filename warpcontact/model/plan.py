@@ -5,13 +5,11 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import warp as wp
 
 from warpcontact.forces.contact_groups import ContactGroup
-from warpcontact.forces.couplings.coupling_set import CouplingSet
-from warpcontact.forces.joints.joint_data import PrescribedMotionSet
+from warpcontact.forces.force_element import ForceElement
 from warpcontact.forces.sensor import Sensor
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
@@ -24,10 +22,6 @@ from warpcontact.storage.memory_estimate import MemoryEstimate
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import Parameter, Parameters, parameter_memory
 from warpcontact.system.capture_lock import shared_capture_lock
-
-if TYPE_CHECKING:
-    from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
-    from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
 
 
 @dataclass(frozen=True)
@@ -42,11 +36,8 @@ class DeviceModelPlan(SceneTraits):
         layout: Allocation plan.
         arrays: The arrays; allocated by ``allocate``.
         parameters: The parameters.
-        groups: Contacts, grouped by contact model.
-        couplings: Couplings, grouped by formulas.
-        shape_contact_sets: Shape contacts, grouped by contact model.
-        particle_contact_sets: Particle contacts.
-        prescribed_motions: Bodies with prescribed motion, by class of motion.
+        force_elements: All force elements, in launch order.
+        groups: Contacts of points with meshes, grouped by contact model.
         clusters: Clusters of contacts.
         sensors: Sensors by name.
         side_regions: Side regions of the surface of each contact, per mesh.
@@ -62,11 +53,8 @@ class DeviceModelPlan(SceneTraits):
     layout: AllocationPlan
     arrays: ModelArrays
     parameters: Parameters
+    force_elements: tuple[ForceElement, ...]
     groups: list[ContactGroup]
-    couplings: list[CouplingSet]
-    shape_contact_sets: "list[ShapeContactSet]"
-    particle_contact_sets: "list[ParticleContactSet]"
-    prescribed_motions: list[PrescribedMotionSet]
     clusters: ContactClusters
     sensors: dict[str, Sensor]
     side_regions: dict[Contact, list[SideRegion]]
@@ -99,14 +87,6 @@ class DeviceModelPlan(SceneTraits):
             TypeError: If a user-defined law, friction model, shape, spring or motion does not compile.
         """
         # ``compile`` compiles user-defined formulas only; other kernels are compiled when they are launched.
-        for group in self.groups:
-            group.compile(self.device)
-        for contacts in self.shape_contact_sets:
-            contacts.compile(self.device)
-        for couplings in self.couplings:
-            couplings.compile(self.device)
-        for particle_set in self.particle_contact_sets:
-            particle_set.compile(self.device)
-        for motion_set in self.prescribed_motions:
-            motion_set.compile(self.device, self.types.real)
+        for element in self.force_elements:
+            element.compile(self.device)
         self.layout.allocate(envs)

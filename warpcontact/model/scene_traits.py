@@ -1,25 +1,45 @@
-"""Properties of a scene that are independent of the number of environments: counts, flags and sensor arrays."""
+"""Properties of a model that are independent of the number of environments: counts, flags and needs of sensors."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import warp as wp
 
-from warpcontact.kernels.couplings import contact_coupling
-from warpcontact.kernels.joints.measures import Coordinates, Reactions
+from warpcontact.forces.force_element import ForceElement, ForceTarget, Need
 from warpcontact.kernels.outcomes import body_measures
-from warpcontact.kernels.types import FREE, TIME_FUNCTION
+from warpcontact.kernels.types import FREE
 from warpcontact.scene.scene_data import SceneData
-from warpcontact.storage.allocation_plan import SENSOR_PURPOSE as PURPOSE
-from warpcontact.storage.allocation_plan import AllocationPlan, per_env
+from warpcontact.storage.allocation_plan import SENSOR_PURPOSE, AllocationPlan, per_env
 from warpcontact.storage.memory_estimate import MemoryItem
+from warpcontact.storage.model_arrays import ModelArrays
+
+#: Needs of contacts and wrenches, including contacts that are far.
+CONTACT_NEEDS = frozenset(("wrenches", "distances"))
+#: Needs without arrays of their own: contacts and forces; wrenches on bodies; contacts that are far.
+_FORCE_NEEDS = {
+    "contacts": Need(by_slice=True),
+    "wrenches": Need(by_slice=True),
+    "distances": Need(by_slice=True, all_distances=True),
+}
 
 
 class SceneTraits:
-    """Counts and flags of a scene, independent of the number of environments."""
+    """Counts, flags and needs of a model, independent of the number of environments.
+
+    Attributes:
+        scene: The scene.
+        arrays: The arrays of the model.
+        force_elements: All force elements, in launch order.
+    """
 
     scene: SceneData
+    arrays: ModelArrays
+    force_elements: Sequence[ForceElement]
+
+    def of_family(self, name: str) -> list[Any]:
+        """Returns the force elements of a family."""
+        return [element for element in self.force_elements if element.family == name]
 
     @cached_property
     def body_count(self) -> int:
@@ -28,13 +48,8 @@ class SceneTraits:
 
     @cached_property
     def contact_count(self) -> int:
-        """Number of point contacts per environment."""
+        """Number of contacts of points with meshes, per environment."""
         return sum(contact.count for contact in self.scene.contacts)
-
-    @cached_property
-    def shape_contact_count(self) -> int:
-        """Number of shape contacts per environment."""
-        return sum(contact.count for contact in self.scene.shape_contacts)
 
     @cached_property
     def has_swept_contacts(self) -> bool:
@@ -57,68 +72,88 @@ class SceneTraits:
         return any(body.motion.kind != FREE for body in self.scene.bodies)
 
     @cached_property
-    def constrained_count(self) -> int:
-        """Number of bodies that are neither free nor follow a function of time, per environment."""
-        return sum(body.count for body in self.scene.bodies if body.motion.kind not in (FREE, TIME_FUNCTION))
+    def has_ends(self) -> bool:
+        """Whether any force element has forces at its ends."""
+        return any(element.target is ForceTarget.ENDS for element in self.force_elements)
+
+    @cached_property
+    def elements_added_to_bodies(self) -> list[ForceElement]:
+        """Force elements that add wrenches to the sums of ends, clusters and external forces."""
+        return [element for element in self.force_elements if element.target is ForceTarget.BODIES]
+
+    @cached_property
+    def _needs_with_arrays(self) -> list[tuple[Mapping[str, Need], dict[str, Any]]]:
+        """Needs of bodies and of each force element, with the table of their allocated arrays."""
+        owners: list[tuple[Mapping[str, Need], dict[str, Any]]] = [
+            (_body_needs(self.body_count), vars(self.arrays))
+        ]
+        return owners + [(element.needs(), element.measures) for element in self.force_elements]
+
+    @cached_property
+    def needs(self) -> Mapping[str, Need]:
+        """Quantities that sensors can need, by name; see ``Sensor.needs``."""
+        found = dict(_FORCE_NEEDS)
+        for needs, _ in self._needs_with_arrays:
+            found |= needs
+        return found
+
+    def check_needs(self, needs: Iterable[str]) -> frozenset[str]:
+        """Returns ``needs`` as a set; raises ``ValueError`` if one does not exist."""
+        requested = frozenset(needs)
+        if unknown := requested - self.needs.keys():
+            raise ValueError(f"unknown needs {sorted(unknown)}; possible needs: {sorted(self.needs)}")
+        return requested
+
+    def needs_all_distances(self, needs: Collection[str]) -> bool:
+        """Returns whether ``needs`` require the evaluation of all contacts, including those that are far."""
+        return any(self.needs[name].all_distances for name in needs)
+
+    def needs_contacts(self, needs: Collection[str]) -> bool:
+        """Returns whether ``needs`` require contacts and forces."""
+        return not {"contacts", "wrenches"}.isdisjoint(needs) or self.needs_all_distances(needs)
+
+    def are_by_slice(self, needs: Collection[str]) -> bool:
+        """Returns whether launches compute ``needs`` for any range of environments, and in every step."""
+        return all(self.needs[name].by_slice for name in needs)
+
+    def unallocated(self, needs: Collection[str]) -> list[str]:
+        """Returns those of ``needs`` whose arrays are not allocated."""
+        missing = [
+            name
+            for table, allocated in self._needs_with_arrays
+            for name, need in table.items()
+            if name in needs and need.declare is not None and allocated.get(name) is None
+        ]
+        return list(dict.fromkeys(missing))
+
+    def declare_sensor_arrays(
+        self, layout: AllocationPlan, needs: Collection[str]
+    ) -> list[tuple[dict[str, Any], str, Any]]:
+        """Declares the arrays of ``needs``.
+
+        Returns:
+            For each struct of arrays: the table that gets it after allocation, its name and the struct.
+        """
+        return [
+            (allocated, name, need.declare(layout))
+            for table, allocated in self._needs_with_arrays
+            for name, need in table.items()
+            if name in needs and need.declare is not None
+        ]
 
     def sensor_memory(self, device: wp.Device, needs: Collection[str], envs: int) -> list[MemoryItem]:
         """Returns the memory of the arrays of sensors with ``needs``, for ``envs`` environments."""
         layout = AllocationPlan(device)
-        for name, declare in SENSOR_ARRAYS.items():
-            if name in needs:
-                declare(layout, self)
+        self.declare_sensor_arrays(layout, needs)
         return layout.memory_items(envs)
 
 
-def _per_body(struct: Any) -> Callable[[AllocationPlan, SceneTraits], Any]:
-    return lambda layout, model: layout.struct(PURPOSE, struct, per_env(model.body_count))
+def _body_needs(count: int) -> dict[str, Need]:
+    """Returns the needs of the sensors of ``count`` bodies, computed in float64."""
 
+    def declare(struct: Any) -> Callable[[AllocationPlan], Any]:
+        return lambda layout: layout.struct(SENSOR_PURPOSE, struct, per_env(count))
 
-def _points(layout: AllocationPlan, model: SceneTraits) -> Any:
-    return layout.struct(PURPOSE, body_measures.Points, per_env(model.contact_count))
-
-
-def _reactions(layout: AllocationPlan, model: SceneTraits) -> Any:
-    return layout.struct(PURPOSE, Reactions, per_env(model.body_count))
-
-
-def _coordinates(layout: AllocationPlan, model: SceneTraits) -> Any:
-    return layout.struct(PURPOSE, Coordinates, per_env(model.body_count))
-
-
-def _contact_couplings(layout: AllocationPlan, model: SceneTraits) -> Any:
-    shape = per_env(len(model.scene.contact_couplings))
-    return layout.struct(PURPOSE, contact_coupling.ContactCouplings, shape)
-
-
-def _shape_points(layout: AllocationPlan, model: SceneTraits) -> Any:
-    from warpcontact.kernels.shapes.measures import Points
-
-    return layout.struct(PURPOSE, Points, per_env(model.shape_contact_count))
-
-
-def _shape_curvatures(layout: AllocationPlan, model: SceneTraits) -> Any:
-    from warpcontact.kernels.shapes.measures import Curvatures
-
-    return layout.struct(PURPOSE, Curvatures, per_env(model.shape_contact_count))
-
-
-def _shape_gradients(layout: AllocationPlan, model: SceneTraits) -> Any:
-    from warpcontact.kernels.shapes.measures import Gradients
-
-    return layout.struct(PURPOSE, Gradients, per_env(model.shape_contact_count))
-
-
-#: Functions that declare the arrays of sensors, by need.
-SENSOR_ARRAYS: dict[str, Callable[[AllocationPlan, SceneTraits], Any]] = {
-    **{name: _per_body(struct) for name, (struct, _) in body_measures.BODY_MEASURES.items()},
-    "points": _points,
-    "reactions": _reactions,
-    "coordinates": _coordinates,
-    "contact_couplings": _contact_couplings,
-    "shape_points": _shape_points,
-    "shape_curvatures": _shape_curvatures,
-    "shape_gradients": _shape_gradients,
-}
-#: Needs of shape contacts that are computed on request from the last evaluated contacts.
-SHAPE_CONTACT_MEASURES = ("shape_points", "shape_curvatures", "shape_gradients")
+    return {
+        name: Need(declare(struct), by_slice=True) for name, (struct, _) in body_measures.BODY_MEASURES.items()
+    }

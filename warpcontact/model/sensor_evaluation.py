@@ -3,58 +3,35 @@
 ``evaluation_stages`` is used by ``Model`` and by ``Stepper`` for recorded frames.
 """
 
-from collections.abc import Iterable, Set
+from collections.abc import Set
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
 from warpcontact.forces.execution_plan import ExecutionPlan, force_stages
-from warpcontact.kernels.joints.measures import coordinates
 from warpcontact.kernels.outcomes import body_measures
-from warpcontact.model.scene_traits import SHAPE_CONTACT_MEASURES
+from warpcontact.model.scene_traits import SceneTraits
 
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
 
-#: Needs that require the evaluation of all contacts, also of those that are far.
-NEEDS_ALL_DISTANCES = ("distances", "points", "contact_couplings", *SHAPE_CONTACT_MEASURES)
-#: Needs that can be computed slice by slice and in every step.
-SLICE_NEEDS = frozenset(
-    ("contacts", "wrenches", "distances", *body_measures.BODY_MEASURES, "points", "coordinates")
-)
 
-#: Needs of contacts and wrenches, including contacts that are far.
-CONTACT_NEEDS = frozenset(("wrenches", "distances"))
+def can_evaluate_by_slice(model: SceneTraits, device: wp.Device, nonsmooth: bool, needs: Set[str]) -> bool:
+    """Returns whether ``evaluation_stages`` computes all ``needs`` on a CPU, so that slices can be evaluated.
 
-#: All needs.
-ALL_NEEDS = SLICE_NEEDS.union(NEEDS_ALL_DISTANCES, ("reactions", "particles"))
-
-
-def check_needs(needs: Iterable[str]) -> frozenset[str]:
-    """Returns ``needs`` as a set; raises ``ValueError`` if one does not exist."""
-    requested = frozenset(needs)
-    if unknown := requested - ALL_NEEDS:
-        raise ValueError(f"unknown needs {sorted(unknown)}; possible needs: {sorted(ALL_NEEDS)}")
-    return requested
-
-
-def can_evaluate_by_slice(device: wp.Device, nonsmooth: "NonsmoothContacts | None", needs: Set[str]) -> bool:
-    """Returns whether ``evaluation_stages`` computes all ``needs`` on a CPU, so that slices can be evaluated."""
-    return device.is_cpu and needs <= SLICE_NEEDS and not (nonsmooth is not None and needs_contacts(needs))
-
-
-def needs_contacts(needs: Set[str]) -> bool:
-    """Returns whether ``needs`` include contacts; outputs of nonsmooth contacts must then be copied, see ``show``."""
-    return not needs.isdisjoint(("contacts", "wrenches", *NEEDS_ALL_DISTANCES))
+    ``nonsmooth``: whether there are nonsmooth contacts. Their sensors are copied after an evaluation.
+    """
+    return device.is_cpu and model.are_by_slice(needs) and not (nonsmooth and model.needs_contacts(needs))
 
 
 def provides_contacts(plan: ExecutionPlan, needs: Set[str]) -> bool:
     """Returns whether a step of ``plan`` can reuse the contacts of an evaluation for ``needs``."""
+    model = plan.model
     return (
         plan.uses_cache
-        and plan.model.device.is_cpu
-        and needs_contacts(needs)
-        and needs.isdisjoint(NEEDS_ALL_DISTANCES)
+        and model.device.is_cpu
+        and model.needs_contacts(needs)
+        and not model.needs_all_distances(needs)
     )
 
 
@@ -71,7 +48,7 @@ def evaluation_plan(
     On a CPU it uses the distance cache, unless a need requires contacts that are far. All contacts are then evaluated
     exactly. On a GPU evaluations never use the cache.
     """
-    cached = model.device.is_cpu and needs.isdisjoint(NEEDS_ALL_DISTANCES)
+    cached = model.device.is_cpu and not model.needs_all_distances(needs)
     return kind(model, count, cached, ordered_sum=True, nonsmooth=nonsmooth, slice=own)
 
 
@@ -86,10 +63,10 @@ def evaluation_stages(plan: ExecutionPlan, needs: Set[str], zero_step: Any, acti
     """
     a = plan.model.arrays
     launches = []
-    if needs_contacts(needs):
-        # On a GPU the sum of wrenches also empties the work queues. Particle and nonsmooth contacts add to the sum.
+    if plan.model.needs_contacts(needs):
+        # On a GPU the sum of wrenches also empties the work queues. Some force elements add to the sum.
         others_add_wrenches = (
-            plan.model.device.is_cuda or plan.model.particle_contact_sets or plan.nonsmooth is not None
+            plan.model.device.is_cuda or plan.model.elements_added_to_bodies or plan.nonsmooth is not None
         )
         by_cluster = not others_add_wrenches and "wrenches" not in needs
         launches += force_stages(plan, a.state, zero_step, active_status, by_cluster=by_cluster)
@@ -111,10 +88,6 @@ def sensor_stages(plan: ExecutionPlan, needs: Set[str], state: Any, status: wp.a
     for name, (_, kernel) in body_measures.BODY_MEASURES.items():
         if name in needs:
             launches += plan.prepare(kernel(real), model.body_count, [status, a.model, state, getattr(a, name)])
-    if "points" in needs:
-        inputs = [status, a.model, state, a.contacts, a.points]
-        launches += plan.prepare(body_measures.points(real), model.contact_count, inputs)
-    if "coordinates" in needs:
-        inputs = [status, a.model, state, a.coordinates]
-        launches += plan.prepare(coordinates(real), model.body_count, inputs)
+    for element in model.force_elements:
+        launches += element.sensor_launches(plan, needs, state, status)
     return launches

@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from warpcontact.model.model import DeviceModel
     from warpcontact.model.plan import DeviceModelPlan
 
-# Cache of a core that a slice may fill, and bytes of a contact, a body and a face in it; measured.
+# Cache of a core that a slice may fill, and bytes of a body and a face in it; measured.
 CACHE_BYTES = 512 * 1024
-CONTACT_BYTES = 300
 BODY_BYTES = 400
 FACE_BYTES = 100
 MAX_SLICE = 256
@@ -78,8 +77,7 @@ def _max_slice(part: "DeviceModel | DeviceModelPlan") -> int:
 
 def _cache_bytes_per_env(part: "DeviceModel | DeviceModelPlan") -> int:
     """Returns the cache bytes of one environment, without faces."""
-    for_contacts = CONTACT_BYTES * (part.contact_count + part.shape_contact_count) + BODY_BYTES * part.body_count
-    return for_contacts + sum(particle_set.bytes_per_step for particle_set in part.particle_contact_sets)
+    return BODY_BYTES * part.body_count + sum(element.cache_bytes for element in part.force_elements)
 
 
 @shared_capture_lock()
@@ -130,7 +128,7 @@ def stepping_memory(
         if (
             recorded_needs is not None
             and settings.quarantine == "freeze"
-            and can_evaluate_by_slice(part.device, buffers.nonsmooth, recorded_needs)
+            and can_evaluate_by_slice(part, part.device, buffers.nonsmooth is not None, recorded_needs)
         ):
             lister = evaluation_plan(KernelLister, part, 1, buffers.nonsmooth, recorded_needs)
             evaluation = [
@@ -153,8 +151,7 @@ def stepping_memory(
         needs = [*buffers.layout.memory_items(envs), launches]
         if monitor is not None:
             # Allocated arrays are counted in the estimate of the model.
-            unallocated = [name for name in monitor.needs if getattr(part.arrays, name, True) is None]
-            needs += part.sensor_memory(part.device, unallocated, envs)
+            needs += part.sensor_memory(part.device, part.unallocated(monitor.needs), envs)
         if buffers.nonsmooth is not None:
             needs.append(buffers.nonsmooth.material_need(part.parameters_by_name, envs, varied))
         estimates.append(MemoryEstimate(envs, str(part.device), tuple(needs)))

@@ -18,7 +18,8 @@ from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.model.environments import Environments
 from warpcontact.model.model import DeviceModel, State
 from warpcontact.model.quarantine import CADENCE, raise_failed, reset_failed
-from warpcontact.model.sensor_evaluation import CONTACT_NEEDS, can_evaluate_by_slice, check_needs
+from warpcontact.model.scene_traits import CONTACT_NEEDS
+from warpcontact.model.sensor_evaluation import can_evaluate_by_slice
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.chunk_sizer import ChunkSizer, progress_bar
 from warpcontact.stepping.frame_recording import record_first_frame, record_frames
@@ -301,7 +302,9 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             QuarantineError, RuntimeError: As ``step``.
         """
         count = checks.integer("frames", frames, least=0)
-        self.step_to_frames(count, FrameSchedule(checks.integer("every", every), check_needs(needs), take))
+        self.step_to_frames(
+            count, FrameSchedule(checks.integer("every", every), self.model.parts[0].check_needs(needs), take)
+        )
 
     def step_to_frames(self, count: int, frames: FrameSchedule) -> None:
         """Takes the steps of ``count`` frames, and evaluates and delivers each frame."""
@@ -322,7 +325,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         """Whether frames with ``needs`` can be evaluated slice by slice."""
         parts = self.model.parts
         return self.monitor_settings.quarantine == "freeze" and all(
-            can_evaluate_by_slice(p.device, p.nonsmooth, needs) for p in parts
+            can_evaluate_by_slice(part, part.device, part.nonsmooth is not None, needs) for part in parts
         )
 
     def _advance(self, count: int, frames: FrameSchedule | None) -> None:

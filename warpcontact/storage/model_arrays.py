@@ -27,23 +27,11 @@ class ModelArrays:
         time: Clocks [env] [s], float64.
         zero_step: A step of 0 s [1, 1].
         active_status: The status of an active environment [1].
-        constrained: Bodies that are neither free nor follow a function of time [body of them].
-        guard: Limits of speed and distance, and failure causes (``kernels/acceptance/quarantine.py:Guard``).
+        guard: Limits of speed and distance, and failure causes (``kernels/acceptance/accept_step.py:Guard``).
         closed: Gap below which contacts are closed (``storage/parameters.py:ClosedGap``).
-        coupling_contacts: Contacts of contact couplings (``kernels/couplings/contact_coupling.py:CouplingSets``);
-            ``None``: no contact couplings.
-        coupling_extremes: Closest approach of contact couplings (``CouplingExtremes``); ``None``: none.
-        nonsmooth: Nonsmooth contacts of the simulation that stepped last, for their sensors; ``None``: none.
         positions: Positions of bodies in float64, for sensors.
         energies: Kinetic energies of bodies, for sensors.
         momenta: Angular momenta of bodies, for sensors.
-        points: Points of contacts, for sensors.
-        reactions: Reactions of joints, for sensors.
-        coordinates: Coordinates of joints, for sensors.
-        contact_couplings: Forces of contact couplings, for sensors.
-        shape_points: Points of shape contacts, for sensors.
-        shape_curvatures: Curvatures of shape contacts, for sensors.
-        shape_gradients: Gradients of the gaps of shape contacts, for sensors.
     """
 
     model: Any
@@ -61,19 +49,8 @@ class ModelArrays:
     time: Any = None
     zero_step: Any = None
     active_status: Any = None
-    constrained: Any = None
     guard: Any = None
     closed: Any = None
-    coupling_contacts: Any = None
-    coupling_extremes: Any = None
-    nonsmooth: Any = None
     positions: Any = None
     energies: Any = None
     momenta: Any = None
-    points: Any = None
-    reactions: Any = None
-    coordinates: Any = None
-    contact_couplings: Any = None
-    shape_points: Any = None
-    shape_curvatures: Any = None
-    shape_gradients: Any = None

@@ -223,7 +223,7 @@ def settled(device):
 
 def test_nonsmooth_heap_has_bounded_overlap_and_never_gains_energy(settled):
     model, data, _ = settled
-    assert (model.particle_contact_sets[0].cell_list.build_count.numpy() > 10).all()
+    assert (model.of_family("particle contact")[0].cell_list.build_count.numpy() > 10).all()
     speed = np.linalg.norm(data["ball.linear_velocity"], axis=-1).max(axis=2)
     fastest = speed.max()
     # A contact is detected at half a step, and two balls approach at up to twice the speed of one.

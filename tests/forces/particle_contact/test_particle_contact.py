@@ -173,7 +173,7 @@ def test_particle_pairs_match_brute_force(device, capsules, precision):
         np.testing.assert_allclose(found["gap"], [expected[pair] for pair in pairs], atol=within)
         assert model.sensor("pile.contacts")[0] == len(pairs) > 50
         assert model.sensor("pile.coordination")[0].sum() == 2 * len(pairs)
-    assert model.particle_contact_sets[0].cell_list.build_count.numpy()[0] > 5
+    assert model.of_family("particle contact")[0].cell_list.build_count.numpy()[0] > 5
 
 
 def test_parallel_capsules_contact_at_the_middle_of_their_overlap(device):

@@ -27,7 +27,7 @@ def test_particle_forces_summed_by_body_match_sequential_sums(several):
     for alone in (True, False):
         model = scene.build(2, "cpu", "float64")
         if not alone:
-            sum_by_body(model.particle_contact_sets[0])
+            sum_by_body(model.of_family("particle contact")[0])
         forces.append([model.sensor(f"ball.{name}") for name in ("force", "torque")])
     assert not np.array_equal(forces[0][1], forces[1][1])  # rounding differs: the other summation was used
     for sequential, summed in zip(*forces, strict=True):
@@ -58,8 +58,8 @@ def test_particle_sums_in_integrator_are_bitwise_identical_to_wrench_sums(monkey
     ends = []
     for by_body in (True, False):
         model = particle_scene().build(3, "cpu", "float64")
-        sum_by_body(model.particle_contact_sets[0])
-        assert model.particle_contact_sets[0].sums_by_body
+        sum_by_body(model.of_family("particle contact")[0])
+        assert model.of_family("particle contact")[0].sums_by_body
         if not by_body:
             monkeypatch.setattr(ParticleContactSet, "sums_by_body", False)
         outcomes = {"load": wc.outcomes.Max("ball.force")} if watched else {}

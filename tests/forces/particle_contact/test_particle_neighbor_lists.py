@@ -65,7 +65,7 @@ def test_results_are_bitwise_identical_for_any_skin(run, device):
     end, wide = rerun(run, scene(skin=0.15), device)
     np.testing.assert_array_equal(end, run[1])
     often, seldom = (
-        model.particle_contact_sets[0].cell_list.build_count.numpy().min() for model in (run[0], wide)
+        model.of_family("particle contact")[0].cell_list.build_count.numpy().min() for model in (run[0], wide)
     )
     assert often > 5 * seldom > 0
 
@@ -74,7 +74,7 @@ def test_neighbor_lists_of_all_pairs_give_bitwise_identical_results(run, device,
     """A few shapes use lists of all pairs, which are never rebuilt."""
     monkeypatch.setattr(contact_set, "ALL_PAIRS_LIMIT", COUNT)
     end, model = rerun(run, scene(), device)
-    assert model.particle_contact_sets[0].all_pairs
+    assert model.of_family("particle contact")[0].all_pairs
     np.testing.assert_array_equal(end, run[1])
 
 
@@ -104,9 +104,11 @@ def test_neighbor_lists_of_offset_capsules_give_bitwise_identical_results(device
         models.append(model)
     changed = np.linalg.norm(models[0].sensor("rod.linear_velocity") + 2 * positions, axis=-1)
     assert (changed > 0.5).mean() > 0.8
-    often, seldom = (model.particle_contact_sets[0].cell_list.build_count.numpy().min() for model in models[:2])
+    often, seldom = (
+        model.of_family("particle contact")[0].cell_list.build_count.numpy().min() for model in models[:2]
+    )
     assert often > 5 * seldom > 0
-    assert models[2].particle_contact_sets[0].all_pairs
+    assert models[2].of_family("particle contact")[0].all_pairs
     for end in ends[1:3]:
         np.testing.assert_array_equal(end, ends[0])
     # Positions have the same resolution there, but are rounded differently.

@@ -68,7 +68,9 @@ class BushingSet(CouplingSet):
 
         self._add_settings(parameters, self, t.Settings, _RANGES, computed)
 
-    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
+    def force_launches(
+        self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
+    ) -> list[wp.Launch]:
         """Returns the launch that computes the forces of the bushings."""
         a, kernel = plan.model.arrays, bushing.kernel(self.types.real)
         inputs = [status, a.model, state, self.first, self.settings, self._bushings, a.coupling_wrenches]

@@ -18,7 +18,7 @@ from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:
-    from warpcontact.forces.execution_plan import ExecutionPlan
+    from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
     from warpcontact.model.model import DeviceModel
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
@@ -81,7 +81,9 @@ class CatenarySet(CouplingSet):
         ranges = {key: allowed for key, allowed in _RANGES.items() if self.floored or key != "floor"}
         self._add_settings(parameters, self, catenary.Settings, ranges)
 
-    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
+    def force_launches(
+        self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
+    ) -> list[wp.Launch]:
         """Returns the launch that computes the forces of the catenaries."""
         a, kernel = plan.model.arrays, catenary.kernel(self.types.real, self.floored)
         inputs = [
@@ -90,17 +92,17 @@ class CatenarySet(CouplingSet):
         ]
         return plan.prepare(kernel, self.count, inputs)
 
-    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
+    def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launch that stores the solution as warm start and counts failures."""
         a, kernel = plan.model.arrays, catenary.accept(self.types.real)
         return plan.prepare(
             kernel, self.count, [a.status, self._trial_solution, self._accepted_solution, self._lines]
         )
 
-    def reset_state(self, chosen: wp.array, envs: int) -> None:
+    def reset_state(self, chosen: wp.array) -> None:
         """Clears warm starts and failures in the environments of the mask ``chosen`` [env]."""
         kernel, inputs = catenary.reset(self.types.real), [chosen, self._accepted_solution, self._lines]
-        wp.launch(kernel, dim=(envs, self.count), inputs=inputs, device=chosen.device)
+        wp.launch(kernel, dim=(len(chosen), self.count), inputs=inputs, device=chosen.device)
 
     @shared_capture_lock()
     def shape(self, model: "DeviceModel", item: int, count: int) -> NDArray[np.float64]:

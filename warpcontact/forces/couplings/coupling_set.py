@@ -9,8 +9,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget
 from warpcontact.forces.sensor import Sensor, shape_in
-from warpcontact.kernels.types import WORLD, Structs
+from warpcontact.kernels.types import WORLD
 from warpcontact.scene.status import CouplingStatus
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import Field, pack
@@ -18,7 +19,6 @@ from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
-    from warpcontact.forces.execution_plan import ExecutionPlan
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
 
@@ -31,34 +31,36 @@ _CONVERTED = {
 _ENDS = (("a", 0), ("b", 1))
 
 
-class CouplingSet(ABC):
+class CouplingSet(ForceElement, ABC):
     """Device data of couplings that are computed by the same kernel.
 
     Args:
         couplings: The couplings; all have the same ``key``.
-        first: Number of the first one among all couplings; coupling i has the ends 2 i and 2 i + 1.
-        layout: Allocation plan to which the arrays are added.
-        parameters: Parameters to which their parameters are added.
+        context: The model to which arrays, ends and parameters are added.
+
+    Attributes:
+        couplings: The couplings.
+        first: Number of the pair of ends of the first one; coupling i has the ends 2 (first + i) and 2 (first + i) + 1.
+        end_bodies: Body indices of the ends, or ``WORLD``, two per coupling.
         types: Warp structs of the precision.
     """
 
+    family = "couplings"
+    target = ForceTarget.ENDS
     #: Sensors of this kind, in addition to the end forces: quantity → (array, unit, meaning).
     quantities: ClassVar[Mapping[str, tuple[str, str, str]]]
     #: Enumeration of the values of ``status``.
     codes: ClassVar[type[IntEnum]] = CouplingStatus
 
-    def __init__(
-        self,
-        couplings: Sequence[Any],
-        first: int,
-        layout: "AllocationPlan",
-        parameters: "Parameters",
-        types: Structs,
-    ) -> None:
+    def __init__(self, couplings: Sequence[Any], context: BuildContext) -> None:
+        super().__init__()
         self.couplings = couplings
-        self.first = first
-        self.types = types
-        self._make(layout, parameters)
+        bodies = [[WORLD if body is None else body.index for body in one.bodies] for one in couplings]
+        points = [[one.point_a.start, one.point_b.start] for one in couplings]
+        self.first = context.ends.add(bodies, points)
+        self.end_bodies = [body for pair in bodies for body in pair]
+        self.types = context.types
+        self._make(context.layout, context.parameters)
 
     @staticmethod
     def key(coupling: Any) -> Any:
@@ -69,14 +71,6 @@ class CouplingSet(ABC):
     def count(self) -> int:
         """Number of couplings."""
         return len(self.couplings)
-
-    def end_points(self) -> list[int]:
-        """Returns the point indices of the ends, two per coupling."""
-        return [point.start for one in self.couplings for point in (one.point_a, one.point_b)]
-
-    def end_bodies(self) -> list[int]:
-        """Returns the body indices of the ends, or ``WORLD``, two per coupling."""
-        return [WORLD if body is None else body.index for one in self.couplings for body in one.bodies]
 
     def _add_settings(
         self,
@@ -125,27 +119,6 @@ class CouplingSet(ABC):
     @abstractmethod
     def results(self) -> Any:
         """Struct of the arrays of sensors [env, coupling of the set]."""
-
-    @abstractmethod
-    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
-        """Returns the launches that compute the forces at the ends in ``state``, without changing history.
-
-        ``status`` [env]: environments that are not active are skipped.
-        """
-
-    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
-        """Returns the launches that advance the history after an accepted step."""
-        return []
-
-    def reset_state(self, chosen: wp.array, envs: int) -> None:  # noqa: B027  optional, for history only
-        """Clears the history in the environments of the mask ``chosen`` [env]."""
-
-    def compile(self, device: wp.Device) -> None:  # noqa: B027  only user-defined formulas are compiled early
-        """Compiles kernels with user-defined formulas, to report errors early.
-
-        Raises:
-            TypeError: If a formula does not compile.
-        """
 
     def sensors(self) -> Iterator[Sensor]:
         """Yields the sensors of the couplings."""

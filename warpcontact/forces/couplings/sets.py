@@ -1,15 +1,11 @@
 """Creates the device data of all couplings of a scene, grouped by kind and kernel."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 from warpcontact.forces.couplings.coupling_set import CouplingSet
-from warpcontact.kernels.types import Structs
+from warpcontact.forces.force_element import BuildContext, ForceElement
 from warpcontact.scene.couplings import Bushing, Catenary, Coupling, SpringDamper
-
-if TYPE_CHECKING:
-    from warpcontact.scene.scene_data import SceneData
-    from warpcontact.storage.allocation_plan import AllocationPlan
-    from warpcontact.storage.parameters import Parameters
 
 
 def set_of(kind: type[Coupling]) -> type[CouplingSet]:
@@ -28,17 +24,10 @@ def set_of(kind: type[Coupling]) -> type[CouplingSet]:
     return CatenarySet
 
 
-def make_sets(
-    scene: "SceneData", layout: "AllocationPlan", parameters: "Parameters", types: Structs
-) -> list[CouplingSet]:
-    """Declares the arrays of all couplings and adds their parameters."""
+def declare(context: BuildContext, elements: Sequence[Coupling]) -> list[ForceElement]:
+    """Declares the couplings of a model, in the order in which a kind or kernel first occurs."""
     sorted_: dict[tuple[type[Coupling], Any], list[Coupling]] = {}
-    for coupling in scene.couplings:
+    for coupling in elements:
         kind = type(coupling)
         sorted_.setdefault((kind, set_of(kind).key(coupling)), []).append(coupling)
-    sets: list[CouplingSet] = []
-    first = 0
-    for (kind, _), own in sorted_.items():
-        sets.append(set_of(kind)(own, first, layout, parameters, types))
-        first += len(own)
-    return sets
+    return [set_of(kind)(own, context) for (kind, _), own in sorted_.items()]

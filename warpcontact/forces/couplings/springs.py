@@ -23,7 +23,7 @@ from warpcontact.system.compilation import load
 from warpcontact.validation.custom_law_errors import explain_compile_errors, has_user_code
 
 if TYPE_CHECKING:
-    from warpcontact.forces.execution_plan import ExecutionPlan
+    from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
 
@@ -134,7 +134,9 @@ class SpringSet(CouplingSet):
             if formula.derives():
                 parameters.by_name[f"{one.name}.rest_length"].device_fields.append(device_field)
 
-    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
+    def force_launches(
+        self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
+    ) -> list[wp.Launch]:
         """Returns the launch that computes the forces of the spring-dampers."""
         a = plan.model.arrays
         inputs = [
@@ -149,15 +151,15 @@ class SpringSet(CouplingSet):
         ]
         return plan.prepare(self.kernel, self.count, inputs)
 
-    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
+    def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launch that stores which springs broke, and their directions."""
         a, kernel = plan.model.arrays, spring.accept(self.types.real)
         return plan.prepare(kernel, self.count, [a.status, self._springs])
 
-    def reset_state(self, chosen: wp.array, envs: int) -> None:
+    def reset_state(self, chosen: wp.array) -> None:
         """Clears the broken flags and directions in the environments of the mask ``chosen`` [env]."""
         kernel, device = spring.reset(self.types.real), chosen.device
-        wp.launch(kernel, dim=(envs, self.count), inputs=[chosen, self._springs], device=device)
+        wp.launch(kernel, dim=(len(chosen), self.count), inputs=[chosen, self._springs], device=device)
 
     def compile(self, device: wp.Device) -> None:
         """Compiles the force kernel if it has user-defined formulas, to report errors early.

@@ -13,7 +13,6 @@ from warpcontact.kernels.types import FREE, TIME_FUNCTION, BodyMotion
 from warpcontact.scene.elements import Body
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import AllocationPlan
-from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import DeviceField, Field, Parameters, pack, split
 from warpcontact.system.compilation import load
 from warpcontact.validation.checks import Array
@@ -77,16 +76,12 @@ class PrescribedMotionSet:
 
 
 def add_motions(
-    scene: SceneData, arrays: ModelArrays, layout: AllocationPlan, parameters: Parameters
+    scene: SceneData, model: Any, layout: AllocationPlan, parameters: Parameters
 ) -> list[PrescribedMotionSet]:
-    """Adds joints and motions of the bodies, if any body is not free; returns the prescribed motions."""
+    """Adds joints and motions of the bodies to the struct ``model``; returns the prescribed motions."""
     bodies = scene.bodies
-    if all(body.motion.kind == FREE for body in bodies):
-        return []
     counts = [body.count for body in bodies]
     kinds = np.repeat([body.motion.kind for body in bodies], counts)[None]
-    constrained = np.flatnonzero((kinds[0] != FREE) & (kinds[0] != TIME_FUNCTION))
-    layout.constant("state", arrays, "constrained", constrained, wp.int32)
     axis = Field(np.zeros((sum(counts), 3)))
     anchor = Field(np.zeros((sum(counts), 3)))
     anchored = np.repeat([_has_world_anchor(body.motion) for body in bodies], counts)
@@ -107,7 +102,7 @@ def add_motions(
         }
         return pack(BodyMotion, columns)
 
-    device_field = parameters.device_field(arrays.model, "body_motion", BodyMotion, content)
+    device_field = parameters.device_field(model, "body_motion", BodyMotion, content)
     for body in bodies:
         for key in ("position", "orientation"):
             device_fields = parameters.by_name[f"{body.name}.{key}"].device_fields

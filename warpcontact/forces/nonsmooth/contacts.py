@@ -14,6 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.contact_groups import ContactGroup, group_by_model
+from warpcontact.forces.force_element import ForceElement
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP, NonsmoothSource, material_upload, parameters_of
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
 from warpcontact.forces.sensor import Sensor
@@ -29,13 +30,14 @@ from warpcontact.scene.shapes import ShapeContact
 from warpcontact.scene.status import ContactMode
 from warpcontact.storage.allocation_plan import AllocationPlan, per_env
 from warpcontact.storage.memory_estimate import MemoryItem
+from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import Parameter
 from warpcontact.storage.state_storage import COUNT, SWITCH, Allowed
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.validation.checks import similar
 
 if TYPE_CHECKING:
-    from warpcontact.forces.execution_plan import ExecutionPlan
+    from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
     from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
     from warpcontact.model.model import DeviceModel
     from warpcontact.model.plan import DeviceModelPlan
@@ -75,8 +77,10 @@ class _ItemList:
         return len(self.numbers)
 
 
-class NonsmoothContacts:
+class NonsmoothContacts(ForceElement):
     """Device data of nonsmooth contacts, in addition to the model.
+
+    A force element of a simulation. It acts by impulses, which the integrator computes, and has no force launches.
 
     Contacts are numbered: mesh contacts in device order, then shape contacts, then pair records of nonsmooth particle
     contacts. Materials are numbered in the same order, with one material per particle contact.
@@ -111,6 +115,8 @@ class NonsmoothContacts:
         material: Materials [env, material].
     """
 
+    family = "nonsmooth contact"
+
     def __init__(
         self,
         model: "DeviceModel | DeviceModelPlan",
@@ -121,6 +127,7 @@ class NonsmoothContacts:
         layout: AllocationPlan,
         sequential: bool = False,
     ) -> None:
+        super().__init__()
         t = model.types
         scene: SceneData = model.scene
         forces = [contact.name for contact in scene.contacts if contact.facing is not None]
@@ -143,19 +150,19 @@ class NonsmoothContacts:
         # Range of sensor values of each mesh or shape contact.
         self._displayed: dict[Contact | ShapeContact, slice] = dict(meshes.items())
         self._shape_contact_sets: list[tuple[ShapeContactSet, _ItemList]] = []
-        for one in model.shape_contact_sets:
+        for one in model.of_family("shape contact"):
             first = starts[-1] + one.first
             self._displayed |= {
                 contact: slice(first + own.start, first + own.stop) for contact, own in one.items.items()
             }
             self._shape_contact_sets.append((one, self._item_list(first, one.items, layout)))
-        count = starts[-1] + model.shape_contact_count
+        count = starts[-1] + sum(one.count for one, _ in self._shape_contact_sets)
         stored_count = count
         self._first_records: dict[ParticleContact, int] = {}
         self._particle_contact_sets: list[
             tuple[ParticleContactSet, int]
         ] = []  # nonsmooth ones, with the number of their material
-        for particle_set in model.particle_contact_sets:
+        for particle_set in model.of_family("particle contact"):
             if not self.is_compliant(particle_set.contact.name):
                 self._particle_contact_sets.append((particle_set, count + len(self._particle_contact_sets)))
                 self._first_records[particle_set.contact] = stored_count
@@ -396,14 +403,7 @@ class NonsmoothContacts:
         couplings or monitors.
         """
         model = plan.model
-        others = (
-            model.has_joints
-            or model.prescribed_motions
-            or model.couplings
-            or model.shape_contact_sets
-            or model.particle_contact_sets
-            or model.has_latched_contacts
-        )
+        others = model.has_latched_contacts or not all(element.fused for element in model.force_elements)
         if self.monitored or others or any(self.compliant_clusters(group) for group in model.groups):
             return []
         inputs = [model.arrays.status, step, model.arrays.time, self.statistics]
@@ -419,9 +419,9 @@ class NonsmoothContacts:
         """Sets the largest residuals of steps without convergence to 0."""
         self.statistics.largest_residual.zero_()
 
-    def accept_stages(self, plan: "ExecutionPlan", step: wp.array) -> list[wp.Launch]:
-        """Returns the launch that stores impulses and statistics of an accepted step; ``step`` [env, 0] [s]."""
-        inputs = [plan.model.arrays.status, step, self.tolerance, plan.model.body_count]
+    def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
+        """Returns the launch that stores impulses and statistics of an accepted step."""
+        inputs = [plan.model.arrays.status, dt.real, self.tolerance, plan.model.body_count]
         inputs += [self.half_step_state, self.rows, self.body_response]
         inputs += [
             self.solve_result,
@@ -507,14 +507,20 @@ class NonsmoothContacts:
                 single, on = contact.points.single, "the point's body"
             own: int | slice = numbers.start if single else numbers
             several = 0 if single else contact.count
-            name, array = f"{contact.name}.impulse", _displayed("impulse", own)
+            name, array = f"{contact.name}.impulse", self._display("impulse", own)
             text = f"impulse of the last step on {on}, world"
             yield Sensor(name, "N·s", text, array, needs=("contacts",), items=several, shape=(3,))
-            name, array = f"{contact.name}.mode", _displayed("mode", own)
+            name, array = f"{contact.name}.mode", self._display("mode", own)
             text = "contact mode in the last step"
             yield Sensor(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)
         for key, (part, attribute, unit, meaning) in OF_SCENE.items():
-            yield Sensor(f"scene.{key}", unit, meaning, _of_scene(part, attribute))
+            yield Sensor(f"scene.{key}", unit, meaning, self._of_scene(part, attribute))
+
+    def _display(self, attribute: str, own: int | slice) -> Callable[[ModelArrays], wp.array]:
+        return lambda _: getattr(self.displayed, attribute)[:, own]
+
+    def _of_scene(self, part: str, attribute: str) -> Callable[[ModelArrays], wp.array]:
+        return lambda _: getattr(getattr(self, part), attribute)
 
 
 # name: (struct, array, unit, meaning)
@@ -563,14 +569,6 @@ def sensor_hint(name: str, stored_count: Collection[str], scene: SceneData) -> s
     if is_nonsmooth_sensor(name) and (element == "scene" or element in contacts):
         return "; only nonsmooth contact has it, with the integrator MoreauJean"
     return similar(name, stored_count)
-
-
-def _displayed(attribute: str, own: int | slice) -> Any:
-    return lambda arrays: getattr(arrays.nonsmooth.displayed, attribute)[:, own]
-
-
-def _of_scene(part: str, attribute: str) -> Any:
-    return lambda arrays: getattr(getattr(arrays.nonsmooth, part), attribute)
 
 
 def _slice(first: int, count: int) -> slice:

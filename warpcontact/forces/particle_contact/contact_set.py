@@ -3,7 +3,7 @@
 Kernels: ``kernels/particles``.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from warpcontact.algebra import poses
 from warpcontact.forces.contact_groups import compile_force_kernel
 from warpcontact.forces.execution_plan import SMALL_BLOCK
+from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget, Need
 from warpcontact.forces.particle_contact.neighbor_capacity import (
     ALL_PAIRS_LIMIT,
     all_pair_lists,
@@ -32,7 +33,6 @@ from warpcontact.kernels.particles.base import (
     ParticleTraits,
     particle_structs,
 )
-from warpcontact.kernels.types import FREE, Structs
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.shapes import Shape
@@ -43,8 +43,8 @@ from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
-    from warpcontact.forces.execution_plan import ExecutionPlan
-    from warpcontact.scene.scene_data import SceneData
+    from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.model.model import DeviceModel
 
 # Bytes in the CPU cache per entry of a neighbor list, and per particle with the records of its contacts.
 ENTRY_BYTES = 8
@@ -69,15 +69,12 @@ _PER_PARTICLE = {
 }
 
 
-class ParticleContactSet:
+class ParticleContactSet(ForceElement):
     """Device data of a particle contact.
 
     Args:
         contact: The particle contact.
-        scene: Its scene.
-        layout: Allocation plan to which the arrays are added.
-        parameters: Parameters to which its parameters are added; those of the shapes must exist.
-        types: Warp structs of the precision.
+        context: The model to which arrays and parameters are added.
 
     Attributes:
         contact: The particle contact.
@@ -91,14 +88,12 @@ class ParticleContactSet:
         measured: Arrays of the sensors.
     """
 
-    def __init__(
-        self,
-        contact: ParticleContact,
-        scene: "SceneData",
-        layout: AllocationPlan,
-        parameters: Parameters,
-        types: Structs,
-    ) -> None:
+    family = "particle contact"
+    target = ForceTarget.BODIES
+
+    def __init__(self, contact: ParticleContact, context: BuildContext) -> None:
+        super().__init__()
+        layout, parameters, types = context.layout, context.parameters, context.types
         self.contact = contact
         self.real = types.real
         self._types = types
@@ -132,7 +127,7 @@ class ParticleContactSet:
         )
         self._buckets = 1 << (max(16, count) - 1).bit_length()
         self.cell_list = self._make_cell_list(layout)
-        self._add_shapes(layout, parameters, sum(body.count for body in scene.bodies))
+        self._add_shapes(layout, parameters, sum(body.count for body in context.scene.bodies))
         self._add_settings(parameters)
         self._add_formulas(layout, parameters)
         self.measured = layout.struct(
@@ -143,7 +138,7 @@ class ParticleContactSet:
             coordination=per_env(count),
             force=per_env(count),
         )
-        moves = self._parts.law.needs_mass and any(body.motion.kind != FREE for body in scene.bodies)
+        moves = self._parts.law.needs_mass and context.has_joints
         # On a CPU one thread steps a slice, so wrenches can be added directly.
         self._single_thread = layout.device.is_cpu
         self._kernel = force.kernel(self._parts, self._traits, self.real, moves, self._single_thread)
@@ -375,7 +370,7 @@ class ParticleContactSet:
             parameters.add(full, field, slice(0, 1), formula.limits(name), [device_field])
 
     @property
-    def bytes_per_step(self) -> int:
+    def cache_bytes(self) -> int:
         """Estimate of the memory that a step accesses per environment [bytes]."""
         return ENTRY_BYTES * self.entries + SHAPE_BYTES * self.contact.count
 
@@ -392,12 +387,12 @@ class ParticleContactSet:
         """Whether the integrator can sum the contacts of a body: one particle per body, and not summed directly."""
         return self._one_per_body and not self._single_thread
 
-    def force_stages(
+    def force_launches(
         self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
     ) -> list[wp.Launch]:
         """Returns the launches that add the contact forces of the particles to the wrenches of ``state``.
 
-        Arguments are those of ``execution_plan.force_stages``. For nonsmooth contact, only pairs are detected.
+        For nonsmooth contact, only pairs are detected.
         """
         model = plan.model.arrays.model
         count, wrenches = self.contact.count, plan.model.arrays.wrenches
@@ -468,7 +463,7 @@ class ParticleContactSet:
             *plan.prepare(lists.build_reverse(real), count, [status, particles, neighbor_lists, cell_list]),
         ]
 
-    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
+    def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launch that advances the pair history after an accepted step."""
         status = plan.model.arrays.status
         inputs = [status, self.particles, self.neighbor_lists, self.pair_records, self._history_out, self._memory]
@@ -478,7 +473,7 @@ class ParticleContactSet:
     def _is_nonsmooth(self, plan: "ExecutionPlan") -> bool:
         return plan.nonsmooth is not None and not plan.nonsmooth.is_compliant(self.contact.name)
 
-    def reset_state(self, chosen: wp.array, envs: int) -> None:
+    def reset_state(self, chosen: wp.array) -> None:
         """Clears the pair history in the environments of the mask ``chosen`` [env]."""
         inputs = [
             chosen,
@@ -489,32 +484,44 @@ class ParticleContactSet:
             self.cell_list.overflow,
         ]
         wp.launch(
-            history.reset(), dim=(envs, max(self.slots, self.contact.count)), inputs=inputs, device=chosen.device
+            history.reset(),
+            dim=(len(chosen), max(self.slots, self.contact.count)),
+            inputs=inputs,
+            device=chosen.device,
         )
 
-    def invalidate_lists(self) -> None:
+    def invalidate_caches(self) -> None:
         """Invalidates all neighbor lists, because radii or positions may have changed."""
         self.cell_list.valid.zero_()
 
-    def overflow_message(self) -> str | None:
-        """Returns an error message if a neighbor list was too short since reset, else ``None``; waits for the device."""
-        most = int(self.cell_list.overflow.numpy().max(initial=0))
-        if most == 0:
-            return None
-        return (
-            f"{self.contact.name}: a particle had {most} neighbors more than its list can hold, and their forces are "
-            f"missing. Increase max_neighbors in add_particle_contact, or reduce skin (now {self.contact.skin:g} m)"
-        )
+    def check(self) -> None:
+        """Waits for the device and checks that no neighbor list was too short since reset.
 
-    def measure(self, envs: int, device: wp.Device) -> None:
+        Raises:
+            RuntimeError: If one was too short.
+        """
+        most = int(self.cell_list.overflow.numpy().max(initial=0))
+        if most > 0:
+            raise RuntimeError(
+                f"{self.contact.name}: a particle had {most} neighbors more than its list can hold, and their forces "
+                "are missing. Increase max_neighbors in add_particle_contact, or reduce skin (now "
+                f"{self.contact.skin:g} m)"
+            )
+
+    def needs(self) -> Mapping[str, Need]:
+        """Returns the need of the sums over pairs, whose arrays always exist."""
+        return {"particles": Need()}
+
+    def measure(self, model: "DeviceModel", needs: Collection[str]) -> None:
         """Computes its sensors from the last computed forces."""
-        inputs = [self.particles, self.neighbor_lists, self.pair_records]
-        outputs = [self.measured]
-        count = self.contact.count
+        if "particles" not in needs:
+            return
+        inputs, outputs = [self.particles, self.neighbor_lists, self.pair_records], [self.measured]
+        count, device = self.contact.count, model.device
         kernel = measures.particles(self.real)
-        wp.launch(kernel, dim=(envs, count), inputs=inputs, outputs=outputs, device=device)
+        wp.launch(kernel, dim=(model.envs, count), inputs=inputs, outputs=outputs, device=device)
         kernel = measures.totals(self.real)
-        wp.launch(kernel, dim=envs, inputs=[count, *inputs], outputs=outputs, device=device)
+        wp.launch(kernel, dim=model.envs, inputs=[count, *inputs], outputs=outputs, device=device)
 
     def sensors(self) -> Iterator[Sensor]:
         """Yields the sensors of the particle contact."""
@@ -549,8 +556,6 @@ def particle_arrays(particle_set: ParticleContactSet | None, real: type) -> list
     return [t.Particles(), t.NeighborLists(), t.PairRecords()]
 
 
-def make_particle_contact_sets(
-    scene: "SceneData", layout: AllocationPlan, parameters: Parameters, types: Structs
-) -> list[ParticleContactSet]:
-    """Declares the arrays of all particle contacts, and adds their parameters."""
-    return [ParticleContactSet(contact, scene, layout, parameters, types) for contact in scene.particle_contacts]
+def declare(context: BuildContext, elements: Sequence[ParticleContact]) -> list[ForceElement]:
+    """Declares the particle contacts of a model."""
+    return [ParticleContactSet(contact, context) for contact in elements]

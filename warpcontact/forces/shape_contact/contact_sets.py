@@ -3,7 +3,7 @@
 The narrow phase is compiled per pair of kinds, the force kernel per contact model. Kernels: ``kernels/shapes``.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +11,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.contact_groups import compile_force_kernel, history_view
+from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget, Need
 from warpcontact.forces.sensor import CONTACT_SENSORS, Sensor, shape_in
-from warpcontact.forces.shape_contact.measures import has_curvatures
+from warpcontact.forces.shape_contact.measures import has_curvatures, measure
 from warpcontact.forces.shape_contact.shape_sets import ShapeSet
 from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
@@ -31,7 +32,7 @@ from warpcontact.kernels.shapes.records import (
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.shapes import ShapeContact
 from warpcontact.scene.status import ContactStatus
-from warpcontact.storage.allocation_plan import fixed, per_env
+from warpcontact.storage.allocation_plan import SENSOR_PURPOSE, fixed, per_env
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import ClosedGap, Field, pack
 from warpcontact.storage.state_storage import COUNT, SWITCH
@@ -40,11 +41,14 @@ from warpcontact.validation import checks
 from warpcontact.validation.custom_law_errors import compile_error_text, has_user_code
 
 if TYPE_CHECKING:
-    from warpcontact.forces.execution_plan import ExecutionPlan
+    from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.model.model import DeviceModel
     from warpcontact.scene.scene_data import SceneData
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import DeviceField, Parameters
 
+# Bytes of a contact in the cache of a core; measured.
+CONTACT_BYTES = 300
 _RANGES = {
     "kappa": limits_of.KAPPA,
     "max_depth": limits_of.MAX_DEPTH,
@@ -92,42 +96,39 @@ _GRADIENTS = {
 }
 
 
-class ShapeContactSet:
+class ShapeContactSet(ForceElement):
     """Device data of shape contacts with the same contact model.
 
     Args:
         contacts: The contacts, ordered by the kinds of their shapes.
         first: Number of the first item among all shape contacts of the scene.
-        first_end: Number of the first coupling end. Contact i of the set has the ends ``first_end`` + 2 i (body of
-            ``shape``) and ``first_end`` + 2 i + 1 (body of ``other_shape``).
         shapes: The shapes of the scene by kind.
-        layout: Allocation plan to which the arrays are added.
-        parameters: Parameters to which its parameters are added.
-        real: Warp type of a real number.
-        moves: Whether any body of the scene has a joint or prescribed motion.
+        context: The model to which arrays, ends and parameters are added.
 
     Attributes:
         parts: The contact model: classes of law and friction models.
         kernel: The force kernel.
         count: Number of contacts, counting all items.
+        first: Number of the first item among all shape contacts of the scene.
+        first_end: Number of the first end. Contact i of the set has the ends ``first_end`` + 2 i (body of ``shape``)
+            and ``first_end`` + 2 i + 1 (body of ``other_shape``).
     """
+
+    family = "shape contact"
+    target = ForceTarget.ENDS
 
     def __init__(
         self,
         contacts: Sequence[ShapeContact],
         first: int,
-        first_end: int,
         shapes: Mapping[type[Form], ShapeSet],
-        layout: "AllocationPlan",
-        parameters: "Parameters",
-        real: type,
-        moves: bool,
+        context: BuildContext,
     ) -> None:
+        super().__init__()
         self.parts: ContactModel = contacts[0].parts
         self.first = first
-        self.first_end = first_end
         self.shapes = shapes
-        self.real = real
+        self.real = context.types.real
         starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
         self.items = {
             contact: slice(start, start + contact.count) for contact, start in zip(contacts, starts, strict=False)
@@ -139,11 +140,22 @@ class ShapeContactSet:
             self.parts.needs_surface_axes,
         )
         # Joints affect only the effective mass.
-        self.kernel = force.kernel(self.parts, real, moves and self.parts.law.needs_mass)
-        self._declare(layout)
-        self._add_settings(parameters)
+        self.kernel = force.kernel(self.parts, self.real, context.has_joints and self.parts.law.needs_mass)
+        self._declare(context.layout)
+        self.first_end = 2 * context.ends.add(self.bodies)
+        self._add_settings(context.parameters)
         for part, formula in self.parts._asdict().items():
-            self._add_formula(parameters, part, formula)
+            self._add_formula(context.parameters, part, formula)
+
+    @property
+    def contact_count(self) -> int:
+        """Number of contacts per environment."""
+        return self.count
+
+    @property
+    def cache_bytes(self) -> int:
+        """Estimate of the memory that a step accesses per environment [bytes]."""
+        return CONTACT_BYTES * self.count
 
     def _declare(self, layout: "AllocationPlan") -> None:
         each, nothing = per_env(self.count), fixed(1, 1)
@@ -254,12 +266,10 @@ class ShapeContactSet:
             if formula.memories:
                 yield formula, getattr(self.memory, part), getattr(self.history_out, part)
 
-    def force_stages(self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
-        """Returns the launches of narrow phase and contact forces in ``state``; nonsmooth contacts have no force.
-
-        ``step`` [env, 0] is the time over which forces act [s]; ``status`` [env]: environments that are not active
-        are skipped.
-        """
+    def force_launches(
+        self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
+    ) -> list[wp.Launch]:
+        """Returns the launches of narrow phase and contact forces in ``state``; nonsmooth contacts have no force."""
         a, settings = plan.model.arrays, self.settings
         launches = []
         for kinds, items in self.ranges:
@@ -285,7 +295,7 @@ class ShapeContactSet:
             launches += plan.prepare(self.kernel, count, inputs)
         return launches
 
-    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
+    def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launches that store warm starts and advance the history after an accepted step."""
         status = plan.model.arrays.status
         inputs = [status, self.new_warm_starts, self.warm_starts, self.shape_contacts]
@@ -296,9 +306,9 @@ class ShapeContactSet:
             )
         return launches
 
-    def reset_state(self, chosen: wp.array, envs: int) -> None:
+    def reset_state(self, chosen: wp.array) -> None:
         """Clears warm starts and history in the environments of the mask ``chosen`` [env]."""
-        shape, device = (envs, self.count), chosen.device
+        shape, device = (len(chosen), self.count), chosen.device
         wp.launch(
             history.reset(self.real),
             dim=shape,
@@ -331,6 +341,19 @@ class ShapeContactSet:
                 ) from error
         compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
 
+    def needs(self) -> Mapping[str, Need]:
+        """Returns the needs of points, curvatures and gradients."""
+        return {name: Need(self._declare_measure(struct), all_distances=True) for name, struct in _STRUCTS.items()}
+
+    def _declare_measure(self, struct: Any) -> "Callable[[AllocationPlan], Any]":
+        return lambda layout: layout.struct(SENSOR_PURPOSE, struct, per_env(self.count))
+
+    def measure(self, model: "DeviceModel", needs: Collection[str]) -> None:
+        """Computes points, curvatures and gradients from the last evaluated contacts."""
+        for name in _STRUCTS:
+            if name in needs:
+                measure(name, self, model)
+
     def failures(self, contact: ShapeContact) -> NDArray[np.int32]:
         """Returns the number of steps since reset in which ``contact`` did not converge, (envs, items)."""
         values: NDArray[np.int32] = self.shape_contacts.failures.numpy()[:, self.items[contact]]
@@ -351,13 +374,13 @@ class ShapeContactSet:
                 options: dict[str, Any] = {"items": several, "codes": codes, "shape": shape}
                 yield Sensor(name, unit, text, array, needs=("contacts",), **options)
             of_curvature = _CURVATURES | _GRADIENTS if has_curvatures(contact.kinds) else {}
-            for key, (measure, attribute, unit, meaning) in (_MEASURES | of_curvature).items():
-                array = _measured(measure, attribute, _shifted(own, self.first))
-                shape = shape_in(_STRUCTS[measure], attribute)
+            for key, (need, attribute, unit, meaning) in (_MEASURES | of_curvature).items():
+                array = self._measured(need, attribute, own)
+                shape = shape_in(_STRUCTS[need], attribute)
                 name = f"{contact.name}.{key}"
-                yield Sensor(name, unit, meaning, array, needs=(measure,), items=several, shape=shape)
+                yield Sensor(name, unit, meaning, array, needs=(need,), items=several, shape=shape)
             if of_curvature:
-                yield from self._by_sizes(contact, _shifted(own, self.first), several)
+                yield from self._by_sizes(contact, own, several)
             for part, formula in contact.formulas.items():
                 for key, memory in formula.memories.items():
                     frame = ", axes of its other shape" if memory.tangent else ""
@@ -372,7 +395,7 @@ class ShapeContactSet:
             first = 0
             for size, width in measures.size_widths(shape.kind):
                 meaning = f"derivative of the gap with respect to {size} of {shape.name}"
-                array = _part(f"gap_by_sizes_{side}", first, width, items)
+                array = self._part(f"gap_by_sizes_{side}", first, width, items)
                 name = f"{contact.name}.gap_by_{size}_{side}"
                 options: dict[str, Any] = {"items": several, "shape": () if width == 1 else (width,)}
                 yield Sensor(name, "-", meaning, array, needs=("shape_gradients",), **options)
@@ -384,30 +407,26 @@ class ShapeContactSet:
     def _history_values(self, part: str, key: str, items: int | slice) -> Callable[[ModelArrays], wp.array]:
         return lambda _: history_view(getattr(self.memory, part), key)[:, items]
 
+    def _measured(self, need: str, attribute: str, items: int | slice) -> Callable[[ModelArrays], wp.array]:
+        return lambda _: getattr(self.measures[need], attribute)[:, items]
 
-def _measured(measure: str, attribute: str, items: int | slice) -> Callable[[ModelArrays], wp.array]:
-    return lambda arrays: getattr(getattr(arrays, measure), attribute)[:, items]
+    def _part(
+        self, attribute: str, first: int, width: int, items: int | slice
+    ) -> Callable[[ModelArrays], wp.array]:
+        """Returns a function that returns a view of ``width`` components, from ``first`` on, of each array entry."""
 
+        def part(_: ModelArrays) -> wp.array:
+            whole = getattr(self.measures["shape_gradients"], attribute)
+            return wp.array(
+                ptr=whole.ptr + 8 * first,
+                dtype=wp.float64 if width == 1 else wp.vec3d,
+                shape=whole.shape,
+                strides=whole.strides,
+                device=whole.device,
+                copy=False,
+            )[:, items]
 
-def _part(attribute: str, first: int, width: int, items: int | slice) -> Callable[[ModelArrays], wp.array]:
-    """Returns a function that returns a view of ``width`` components, from ``first`` on, of each array entry."""
-
-    def part(arrays: ModelArrays) -> wp.array:
-        whole = getattr(arrays.shape_gradients, attribute)
-        return wp.array(
-            ptr=whole.ptr + 8 * first,
-            dtype=wp.float64 if width == 1 else wp.vec3d,
-            shape=whole.shape,
-            strides=whole.strides,
-            device=whole.device,
-            copy=False,
-        )[:, items]
-
-    return part
-
-
-def _shifted(items: int | slice, first: int) -> int | slice:
-    return slice(first + items.start, first + items.stop) if isinstance(items, slice) else first + items
+        return part
 
 
 def _each(numbers: NDArray[np.int32], contact: ShapeContact) -> NDArray[np.int32]:
@@ -433,19 +452,12 @@ def sorted_contacts(scene: "SceneData") -> list[list[ShapeContact]]:
     return [[contact for alike in own.values() for contact in alike] for own in sets.values()]
 
 
-def make_shape_contact_sets(
-    scene: "SceneData",
-    shapes: Mapping[type[Form], ShapeSet],
-    layout: "AllocationPlan",
-    parameters: "Parameters",
-    real: type,
-    moves: bool,
-) -> list[ShapeContactSet]:
-    """Declares arrays and parameters of all shape contacts. Their ends are numbered after those of couplings."""
-    sets: list[ShapeContactSet] = []
+def declare(context: BuildContext, elements: Sequence[ShapeContact]) -> list[ForceElement]:
+    """Declares the shape contacts of a model, and the shapes of these contacts."""
+    sets: list[ForceElement] = []
     first = 0
-    for own in sorted_contacts(scene):
-        first_end = 2 * (len(scene.couplings) + first)
-        sets.append(ShapeContactSet(own, first, first_end, shapes, layout, parameters, real, moves))
-        first += sets[-1].count
+    for own in sorted_contacts(context.scene):
+        contacts = ShapeContactSet(own, first, context.shapes, context)
+        sets.append(contacts)
+        first += contacts.count
     return sets

@@ -13,19 +13,18 @@ if TYPE_CHECKING:
     from warpcontact.model.model import DeviceModel
 
 
-def measure(name: str, model: "DeviceModel") -> None:
-    """Computes the measure ``name`` of all shape contacts from their last evaluation."""
-    for own in model.shape_contact_sets:
-        for kinds, items in own.ranges:
-            if name == "shape_points":
-                kernel, inputs = _points(model, own, kinds, items.start)
-            elif has_curvatures(kinds):
-                make = measures.curvatures if name == "shape_curvatures" else measures.gradients
-                kernel, inputs = make(*kinds, own.real), _inputs(model, own, kinds, items.start)
-            else:
-                continue
-            shape, outputs = (model.envs, items.stop - items.start), [getattr(model.arrays, name)]
-            wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device=model.device)
+def measure(name: str, own: "ShapeContactSet", model: "DeviceModel") -> None:
+    """Computes the measure ``name`` of a set of shape contacts from their last evaluation."""
+    for kinds, items in own.ranges:
+        if name == "shape_points":
+            kernel, inputs = _points(model, own, kinds, items.start)
+        elif has_curvatures(kinds):
+            make = measures.curvatures if name == "shape_curvatures" else measures.gradients
+            kernel, inputs = make(*kinds, own.real), _inputs(model, own, kinds, items.start)
+        else:
+            continue
+        shape, outputs = (model.envs, items.stop - items.start), [own.measures[name]]
+        wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device=model.device)
 
 
 def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
@@ -44,7 +43,6 @@ def _points(
     inputs = [
         model.arrays.state,
         first,
-        own.first,
         own.contact_shapes,
         shape_poses,
         own.settings,
@@ -57,4 +55,4 @@ def _inputs(
     model: "DeviceModel", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int
 ) -> list[Any]:
     arrays = [own.shapes[kind].arrays for kind in kinds]
-    return [model.arrays.state, first, own.first, own.contact_shapes, *arrays, own.warm_starts]
+    return [model.arrays.state, first, own.contact_shapes, *arrays, own.warm_starts]

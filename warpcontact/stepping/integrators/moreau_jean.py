@@ -13,7 +13,6 @@ import warp as wp
 from warpcontact.forces.execution_plan import ExecutionPlan, StepLength, force_stages
 from warpcontact.forces.nonsmooth.materials import IMPACT_LAWS, check_rigid
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
-from warpcontact.kernels.joints import driven
 from warpcontact.kernels.nonsmooth import accelerated, gauss_seidel, restitution_limiter, sequence, step
 from warpcontact.stepping.integrators.base import Integrator, formulas_of
 from warpcontact.storage.allocation_plan import AllocationPlan
@@ -177,15 +176,15 @@ class MoreauJean(Integrator):
             bodies,
             [status, h, a.model, state_in, middle, nonsmooth.solve_result, nonsmooth.restitution_limit],
         )
-        for motion_set in model.prescribed_motions:
-            follow = driven.follow(motion_set.motion, real)
-            # Velocities are taken at the times (fractions of the step) at which bodies carried along have the same
-            # velocity from step to step.
-            before, after = 2.0 * (0.5 - self.theta), 1.5 - self.theta
-            for length, at, state in ((dt.half_clock, before, middle), (dt.clock, after, state_out)):
-                share = (at - INSTANT, at + INSTANT)
-                inputs = [status, length, a.time, a.model, a.guard, *motion_set.inputs, *share, a.wrenches, state]
-                launches += plan.prepare(follow, motion_set.count, inputs)
+        # Velocities of prescribed motion are taken at the times (fractions of the step) at which bodies carried along
+        # have the same velocity from step to step.
+        before, after = 2.0 * (0.5 - self.theta), 1.5 - self.theta
+        positions = [
+            (length, (at - INSTANT, at + INSTANT), state)
+            for length, at, state in ((dt.half_clock, before, middle), (dt.clock, after, state_out))
+        ]
+        for element in plan.force_elements:
+            launches += element.motion_launches(plan, positions)
         launches += force_stages(plan, middle, h, status)
         launches += nonsmooth.collect_stages(plan)
         free_inputs = [h, a.model, state_in, middle, a.wrenches, state_out, nonsmooth.body_response]

@@ -17,7 +17,6 @@ from warpcontact.forces.particle_contact.contact_set import particle_arrays
 from warpcontact.kernels.broadphase import swept
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.integrators import semi_implicit
-from warpcontact.kernels.joints import driven, step
 from warpcontact.stepping.integrators.base import Integrator, formulas_of
 
 if TYPE_CHECKING:
@@ -62,14 +61,15 @@ class SemiImplicitEuler(Integrator):
         *,
         accepts: bool = False,
     ) -> list[wp.Launch]:
-        """Returns the launches of forces, free bodies, joints, prescribed motions and the swept test."""
+        """Returns the launches of forces, free bodies, bodies with joints or prescribed motion, and the swept test."""
         if accepts and plan.fuses_step:
             return fused_step_stages(plan, dt, state_in, state_out)
         model = plan.model
         a, real = model.arrays, model.types.real
         by_cluster = plan.sums_by_body
         launches = force_stages(plan, state_in, dt.real, a.status, by_cluster=by_cluster)
-        particle_set = model.particle_contact_sets[0] if by_cluster and model.particle_contact_sets else None
+        # The kernel sums the wrenches of particles, see ``sums_by_body``.
+        particle_set = next(iter(model.of_family("particle contact") if by_cluster else ()), None)
         sources = plan.other_forces if by_cluster else None
         kernel = semi_implicit.semi_implicit_euler(
             real, model.has_joints, sources, accepts, particle_set is not None
@@ -86,16 +86,11 @@ class SemiImplicitEuler(Integrator):
         ]
         inputs += particle_arrays(particle_set, real)
         # Without monitors, only bodies with joints or prescribed motion need the sum of wrenches in memory.
-        inputs += [plan.write_outputs or model.has_joints or bool(model.prescribed_motions), a.wrenches]
+        inputs += [plan.write_outputs or model.has_joints, a.wrenches]
         inputs += [dt.clock, a.time, model.clusters.count, a.contacts, a.history, a.cache, state_out]
         launches += plan.prepare(kernel, model.body_count, inputs, block_dim=SMALL_BLOCK if particle_set else None)
-        if model.has_joints:
-            inputs = [a.status, dt.real, a.model, a.guard, a.constrained, state_in, a.wrenches, state_out]
-            launches += plan.prepare(step.semi_implicit_euler(real), model.constrained_count, inputs)
-        for motion_set in model.prescribed_motions:
-            inputs = [a.status, dt.clock, a.time, a.model, a.guard, *motion_set.inputs]
-            inputs += [0.0, 1.0, a.wrenches, state_out]
-            launches += plan.prepare(driven.follow(motion_set.motion, real), motion_set.count, inputs)
+        for element in plan.force_elements:
+            launches += element.integration_launches(plan, dt, state_in, state_out)
         if model.has_swept_contacts:
             marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
             inputs = [
@@ -124,10 +119,6 @@ class SemiImplicitEuler(Integrator):
         launches = force_stages(plan, state, model.zero_step, a.status)
         inputs = [a.status, change, a.model, a.wrenches, state]
         launches += plan.prepare(semi_implicit.change_step(real, model.has_joints), model.body_count, inputs)
-        if model.has_joints:
-            inputs = [a.status, change, a.model, a.constrained, a.wrenches, state]
-            launches += plan.prepare(step.change_step(real), model.constrained_count, inputs)
-        for motion_set in model.prescribed_motions:
-            inputs = [a.status, change, a.time, a.model, *motion_set.inputs, state]
-            launches += plan.prepare(driven.change_step(motion_set.motion, real), motion_set.count, inputs)
+        for element in plan.force_elements:
+            launches += element.change_launches(plan, change, state)
         return launches

@@ -202,7 +202,7 @@ class Monitor:
         form = sources.form(self._real)
         if self._model is None:
             return form, None
-        view = sources.view(replace(self._model.arrays, state=state, nonsmooth=self._nonsmooth))
+        view = sources.view(replace(self._model.arrays, state=state))
         return form._replace(dtype=view.dtype), view
 
     def _forms_and_views(

@@ -10,7 +10,6 @@ import warp as wp
 from warpcontact.forces.sensor import AXES, Sensor
 from warpcontact.kernels.outcomes.base import COMPONENTS, Source
 from warpcontact.kernels.outcomes.source import EACH, SUM, SourceForm
-from warpcontact.model.sensor_evaluation import SLICE_NEEDS
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.validation.checks import find_entry
 
@@ -93,7 +92,7 @@ class SourceResolver:
 
     def __init__(self, model: "DeviceModel | DeviceModelPlan", nonsmooth: "NonsmoothContacts | None") -> None:
         self._sensors: Mapping[str, Sensor] = model.sensors
-        self._scene = model.scene
+        self._model, self._scene = model, model.scene
         self._nonsmooth: Collection[str] = frozenset()
         if nonsmooth is not None:
             own = {one.name: one for one in nonsmooth.sensors()}
@@ -203,4 +202,4 @@ class SourceResolver:
         element, _, quantity = name.rpartition(".")
         if self._nonsmooth and element in self._bodies and quantity in ("force", "torque"):
             return False
-        return sensor is not None and len(sensor.shape) < 2 and SLICE_NEEDS.issuperset(sensor.needs)
+        return sensor is not None and len(sensor.shape) < 2 and self._model.are_by_slice(sensor.needs)

@@ -95,7 +95,8 @@ class Bodies:
         result = np.zeros((self.count, 6))
         own = self.kinds == TIME_FUNCTION
         if own.any():
-            measured = self.model.arrays.reactions
+            (joints,) = self.model.of_family("joints")
+            measured = joints.measures["reactions"]
             result[own, :3] = measured.linear.numpy()[self.env][own]
             result[own, 3:] = measured.angular.numpy()[self.env][own]
         return result.reshape(-1)

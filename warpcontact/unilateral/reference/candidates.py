@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.algebra.vectors import cross
+from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.forces.nonsmooth.materials import NonsmoothSource, check_rigid
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
 from warpcontact.kernels.friction import Frictionless
@@ -74,7 +75,8 @@ class Candidates:
         scene = model.scene
         own = [contact for contact in scene.contacts if contact.facing is None]
         self.elements: list[Contact | ShapeContact] = [*own, *scene.shape_contacts]
-        self.particle_contact_sets = [(pile, _pairs(pile)) for pile in model.particle_contact_sets]
+        self.coupling_sets = [one for one in model.force_elements if isinstance(one, CouplingSet)]
+        self.particle_contact_sets = [(pile, _pairs(pile)) for pile in model.of_family("particle contact")]
         names: list[str] = []
         items: list[int] = []
         labels: list[str] = []
@@ -229,13 +231,13 @@ class Candidates:
         if model.has_external_forces:
             result[:, :3] = a.model.body_external_force.numpy()[env]
             result[:, 3:] = a.model.body_external_torque.numpy()[env]
-        if scene.couplings:
-            ends = np.array([end for couplings in model.couplings for end in couplings.end_bodies()])
-            force, torque = (
-                getattr(a.coupling_wrenches, key).numpy()[env][: len(ends)] for key in ("force", "torque")
-            )
-            moves_body = ends != WORLD
-            np.add.at(result, ends[moves_body], np.hstack([force, torque])[moves_body])
+        if self.coupling_sets:
+            force, torque = (getattr(a.coupling_wrenches, key).numpy()[env] for key in ("force", "torque"))
+            for couplings in self.coupling_sets:
+                ends = np.array(couplings.end_bodies)
+                own = slice(2 * couplings.first, 2 * couplings.first + len(ends))
+                moves_body = ends != WORLD
+                np.add.at(result, ends[moves_body], np.hstack([force[own], torque[own]])[moves_body])
         for contact in scene.contacts:
             if contact.facing is not None:
                 self._add_compliant(contact, result)

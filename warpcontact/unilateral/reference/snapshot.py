@@ -103,7 +103,10 @@ class EnvironmentAccess:
         self._views = {name: array.numpy() for name, array in self._arrays.items()} if model.device.is_cpu else {}
         self._real = wp.dtype_to_numpy(model.types.real)
         chosen = np.arange(model.envs) == env
-        self._mask = wp.array(chosen, dtype=wp.bool, device=model.device) if model.prescribed_motions else None
+        self.prescribed_motions = [
+            one for joints in model.of_family("joints") for one in joints.prescribed_motions
+        ]
+        self._mask = wp.array(chosen, dtype=wp.bool, device=model.device) if self.prescribed_motions else None
 
     def read(self) -> Snapshot:
         """Returns the current state."""
@@ -144,10 +147,10 @@ class EnvironmentAccess:
         If there are any, the result also becomes the current state.
         """
         model, a = self.model, self.model.arrays
-        if not model.prescribed_motions:
+        if not self.prescribed_motions:
             return snapshot
         self.write(snapshot)
-        for drive in model.prescribed_motions:
+        for drive in self.prescribed_motions:
             kernel = driven.start(drive.motion, model.types.real)
             inputs = [self._mask, a.time, a.model, *drive.inputs, a.state]
             wp.launch(kernel, dim=(model.envs, drive.count), inputs=inputs, device=model.device)

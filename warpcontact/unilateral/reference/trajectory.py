@@ -90,10 +90,10 @@ class Trajectory:
         self.prescribed = bodies.kinds == TIME_FUNCTION
         # Whether accelerations in free motion do not depend on poses, except for gyroscopic ones.
         self.uniform = not (
-            scene.couplings
+            assembler.candidates.coupling_sets
             or scene.contact_couplings
             or bodies.anchored.any()
-            or assembler.model.prescribed_motions
+            or assembler.candidates.environment.prescribed_motions
         )
 
     def evaluate(self, snapshot: Snapshot, held_contacts: HeldContacts) -> EvaluatedState:
