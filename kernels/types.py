@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import warp as wp
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 
 #: Type of a Warp struct, the result of ``wp.struct``, for which Warp has no public name.
 Struct: TypeAlias = Any
@@ -131,12 +132,6 @@ class LaunchRange:
     items: wp.int32  # items per environment
     threads: wp.int32
     slice: wp.array(dtype=wp.int32)  # first env, number of envs, steps; empty: unused
-
-
-@wp.func_native("if (number < 0) __builtin_unreachable(); return number;")
-def assume_nonnegative(number: int) -> int:
-    """Returns ``number``. The compiler may assume that it is not negative, which saves instructions per index."""
-    ...
 
 
 @wp.func

@@ -38,9 +38,9 @@ HOST_ORDER = [
 ]
 #: Packages of the device code, lowest first; "types" are the modules outside of packages.
 KERNEL_ORDER = [
+    "lowlevel",
     "types",
     "catalogue",
-    "lowlevel",
     "laws",
     "friction",
     "acceptance",

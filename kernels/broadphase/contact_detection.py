@@ -11,6 +11,7 @@ import functools
 from typing import NamedTuple
 
 import warp as wp
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase import bvh_search, face_grid, search
 from warpcontact.kernels.narrowphase import closest_point as narrow_phase
@@ -30,7 +31,6 @@ from warpcontact.kernels.types import (
     LATCHED,
     LaunchRange,
     Struct,
-    assume_nonnegative,
     structs,
     task_count,
     task_env,

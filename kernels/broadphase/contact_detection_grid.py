@@ -10,17 +10,10 @@ import functools
 import warp as wp
 from warpcontact.kernels.broadphase import contact_detection
 from warpcontact.kernels.lowlevel import warps
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase.closest_point import DEFERRED, DETECT_GRID_ANY, DETECT_GRID_FAR, DETECT_QUERY
-from warpcontact.kernels.types import (
-    ENV_ACTIVE,
-    LaunchRange,
-    assume_nonnegative,
-    structs,
-    task_count,
-    task_env,
-    task_item,
-)
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
 
 # Value of ``ActiveContacts.needs_history`` of a contact that the second launch evaluates.
 NEEDS_SEARCH = 2

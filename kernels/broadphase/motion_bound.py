@@ -9,16 +9,9 @@ from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.types import (
-    ENV_ACTIVE,
-    LaunchRange,
-    assume_nonnegative,
-    structs,
-    task_count,
-    task_env,
-    task_item,
-)
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
 
 # Rounding error of a position, in units of epsilon times the sum of its terms.
 ROUNDING = 32.0

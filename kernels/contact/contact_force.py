@@ -11,13 +11,13 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.contact import contact_evaluation
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs, kinematics_structs
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
     HERTZ_TORSION,
     LaunchRange,
-    assume_nonnegative,
     structs,
     task_count,
     task_env,

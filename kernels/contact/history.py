@@ -11,17 +11,9 @@ from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.types import (
-    CONTACT,
-    ENV_ACTIVE,
-    LaunchRange,
-    assume_nonnegative,
-    structs,
-    task_count,
-    task_env,
-    task_item,
-)
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
 
 
 @functools.cache

@@ -4,12 +4,12 @@ import functools
 from typing import NamedTuple
 
 import warp as wp
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     QUEUE_COUNT,
     LaunchRange,
-    assume_nonnegative,
     structs,
     task_count,
     task_env,

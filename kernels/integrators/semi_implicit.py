@@ -8,7 +8,8 @@ from warpcontact.kernels import frames, rotations
 from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.contact import history
 from warpcontact.kernels.contact import wrenches as wrench_functions
-from warpcontact.kernels.lowlevel.static_strides import assume_strides, hide_from_optimizer
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative, hide_from_optimizer
+from warpcontact.kernels.lowlevel.static_strides import assume_strides
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.particles import sums as sums_of_piles
 from warpcontact.kernels.particles.base import particle_structs
@@ -19,7 +20,6 @@ from warpcontact.kernels.types import (
     NO_CAUSE,
     LaunchRange,
     Struct,
-    assume_nonnegative,
     structs,
     task_count,
     task_env,

@@ -13,7 +13,8 @@ from warpcontact.kernels.broadphase import contact_detection
 from warpcontact.kernels.broadphase import motion_bound as travel
 from warpcontact.kernels.contact import contact_force
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.lowlevel.static_strides import assume_strides, hide_from_optimizer
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative, hide_from_optimizer
+from warpcontact.kernels.lowlevel.static_strides import assume_strides
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase.closest_point import DETECT_ALL
 from warpcontact.kernels.types import (
@@ -21,7 +22,6 @@ from warpcontact.kernels.types import (
     ENV_ACTIVE,
     LaunchRange,
     Struct,
-    assume_nonnegative,
     structs,
     task_count,
     task_env,

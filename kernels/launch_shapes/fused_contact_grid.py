@@ -12,18 +12,10 @@ from warpcontact.kernels.contact import contact_force
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.launch_shapes import fused_contact
 from warpcontact.kernels.lowlevel import warps
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase.closest_point import DEFERRED, DETECT_GRID_ANY, DETECT_GRID_FAR, DETECT_QUERY
-from warpcontact.kernels.types import (
-    CONTACT,
-    ENV_ACTIVE,
-    LaunchRange,
-    assume_nonnegative,
-    structs,
-    task_count,
-    task_env,
-    task_item,
-)
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
 
 # Register limit per GPU thread in float32 (measured).
 REGISTERS = 96

@@ -20,6 +20,7 @@ from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_s
 from warpcontact.kernels.integrators import semi_implicit
 from warpcontact.kernels.launch_shapes import fused_contact
 from warpcontact.kernels.lowlevel import warps
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase.closest_point import DETECT_GRID_ANY
 from warpcontact.kernels.types import (
@@ -29,7 +30,6 @@ from warpcontact.kernels.types import (
     NO_CAUSE,
     LaunchRange,
     Struct,
-    assume_nonnegative,
     first_env,
     structs,
     task_count,

@@ -14,14 +14,14 @@ from warpcontact.kernels.contact import wrenches as wrench_functions
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.integrators import semi_implicit
 from warpcontact.kernels.launch_shapes import fused_contact
-from warpcontact.kernels.lowlevel.static_strides import assume_strides, hide_from_optimizer
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative, hide_from_optimizer
+from warpcontact.kernels.lowlevel.static_strides import assume_strides
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_FROZEN,
     NO_CAUSE,
     LaunchRange,
-    assume_nonnegative,
     first_env,
     step_count,
     structs,

@@ -3,7 +3,7 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.lowlevel.switches import is_enabled
 
 #: Number of faces per test. The capacity of face lists is a multiple of it.
 WIDTH = 8
@@ -18,9 +18,33 @@ def candidates_within(real: type) -> wp.Function:
     error of the bounds. For the bound see ``face_cache.candidate_lower_bound``. A GPU tests one face after the
     other.
     """
-    vec3 = structs(real).vec3
+    vec3 = {wp.float32: wp.vec3f, wp.float64: wp.vec3d}[real]
     Rows, Distances, Slopes = wp.array2d(dtype=wp.int32), wp.array2d(dtype=real), wp.array2d(dtype=vec3)
     scalar = {wp.float32: "float", wp.float64: "double"}[real]
+
+    if not is_enabled("simd"):
+
+        @wp.func
+        def candidates_one_by_one(
+            distances: Distances,
+            slopes: Slopes,
+            rows: Rows,
+            env: int,
+            start: int,
+            count: int,
+            gone: vec3,
+            slack: real,
+            distance: real,
+            first: int,
+        ):
+            candidates = wp.int32(0)
+            for k in range(wp.min(count, wp.static(WIDTH))):
+                bound = distances[env, start + k] + wp.dot(slopes[env, start + k], gone) - slack
+                if bound <= distance and rows[env, start + k] != first:
+                    candidates = candidates | (1 << k)
+            return candidates
+
+        return candidates_one_by_one
 
     # Vector extensions of Clang, which splits vectors wider than a register. The components of a gradient are
     # adjacent.

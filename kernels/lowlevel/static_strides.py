@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import warp as wp
+from warpcontact.kernels.lowlevel.switches import is_enabled
 
 # The size of a record is a multiple of this [bytes], the memory transaction size of a GPU.
 RECORD = 32
@@ -101,6 +102,13 @@ def assume_strides(struct: Any) -> wp.Function:
     The values are equal to those in memory; they are written to the struct copy of the thread. Does nothing on a
     GPU.
     """
+    if not is_enabled("strides"):
+
+        @wp.func_native("")
+        def assume_nothing(struct_copy: wp.ref[struct]): ...
+
+        return assume_nothing
+
     kind, types = struct.cls.__name__, _array_types(struct)
     lines = ["#if !defined(__CUDA_ARCH__)"]
     for names in record_fields(struct):
@@ -132,21 +140,3 @@ def assume_strides(struct: Any) -> wp.Function:
     def assume(struct_copy: wp.ref[struct]): ...
 
     return assume
-
-
-@wp.func_native(
-    """
-    #if !defined(__CUDA_ARCH__)
-    asm volatile("" : "+r"(number));
-    #endif
-    if (number < 0) __builtin_unreachable();
-    return number;
-    """
-)
-def hide_from_optimizer(number: int) -> int:
-    """Returns ``number``, which is not negative, and hides its value from the optimizer, for loops of few passes.
-
-    Otherwise the compiler computes the addresses of all arrays in the loop before the loop, even those that it
-    does not use.
-    """
-    ...

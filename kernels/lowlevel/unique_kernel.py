@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import warp as wp
+from warpcontact.kernels.lowlevel.switches import is_enabled
 
 MODES = ("release", "quick")
 MODE = os.environ.get("WARPCONTACT_COMPILE", "") or MODES[0]
@@ -45,4 +46,6 @@ def unique_kernel(
         # Warp hashes a kernel for the block size of its module, and again if a launch has another. On a CPU it is
         # 1.
         options["block_dim"] = 1
+    if not is_enabled("registers"):
+        registers = None
     return wp.kernel(module="unique", enable_backward=False, module_options=options, cuda_max_registers=registers)

@@ -3,15 +3,26 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.lowlevel.switches import is_enabled
 
 
 @functools.cache
 def row_of(real: type) -> wp.Function:
     """Returns the device function that reads a row of a table with four vectors per row."""
-    Table = wp.array2d(dtype=structs(real).vec3)
+    Table = wp.array2d(dtype={wp.float32: wp.vec3f, wp.float64: wp.vec3d}[real])
     Row = wp.types.matrix(shape=(4, 3), dtype=real)
     scalar = {wp.float32: "wp::float32", wp.float64: "wp::float64"}[real]
+
+    if not is_enabled("vector_loads"):
+
+        @wp.func
+        def row_by_vectors(table: Table, row: int):
+            vectors = Row()
+            for k in range(4):
+                vectors[k] = table[row, k]
+            return vectors
+
+        return row_by_vectors
 
     # The size of a row is a multiple of 16 bytes, and tables are separate allocations, so rows are aligned.
     @wp.func_native(

@@ -11,9 +11,10 @@ import functools
 from typing import NamedTuple
 
 import warp as wp
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.narrowphase import bvh8_traversal, face_cache, search
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
-from warpcontact.kernels.types import assume_nonnegative, structs
+from warpcontact.kernels.types import structs
 
 # Offset of a list ahead of the moving point, as a fraction of the skin. A list ahead is valid longer. Less than
 # one, to leave a margin for ties.

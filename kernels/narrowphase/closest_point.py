@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 from warpcontact.kernels import frames, rotations
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.narrowphase import bvh_search, face_cache, face_grid, search
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
 from warpcontact.kernels.narrowphase.side_regions import side_clearance as side_clearance_of
@@ -34,7 +35,6 @@ from warpcontact.kernels.types import (
     SWEPT,
     WRONG_SIDE,
     Struct,
-    assume_nonnegative,
     structs,
 )
 

@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.lowlevel import simd
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.simd import WIDTH
 from warpcontact.kernels.lowlevel.warps import lowest_set_bit
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
-from warpcontact.kernels.types import assume_nonnegative, structs
+from warpcontact.kernels.types import structs
 
 # Rounding error of a distance, in units of epsilon times the size of the differences. Wider than a tie.
 ROUNDING = 32.0

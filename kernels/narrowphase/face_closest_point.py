@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.lowlevel import vector_loads
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.narrowphase import triangle
-from warpcontact.kernels.types import FEATURE_ACTIVE, Struct, assume_nonnegative, structs
+from warpcontact.kernels.types import FEATURE_ACTIVE, Struct, structs
 
 # Rounding error in units of epsilon times the size of the differences: two distances this close are tied. Not
 # wider, because the distances to a face and to the edge of its neighbor differ in second order only, and the

@@ -8,10 +8,11 @@ import functools
 from typing import NamedTuple
 
 import warp as wp
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.warps import lowest_set_bit
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
 from warpcontact.kernels.narrowphase.side_regions import side_clearance as side_clearance_of
-from warpcontact.kernels.types import assume_nonnegative, structs
+from warpcontact.kernels.types import structs
 
 # A face list is one integer: first index / LIST_ALIGNMENT * LIST_STRIDE + number of faces (< LIST_STRIDE).
 LIST_STRIDE = 32

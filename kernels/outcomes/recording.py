@@ -3,8 +3,9 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.types import LaunchRange, assume_nonnegative, first_env, task_count
+from warpcontact.kernels.types import LaunchRange, first_env, task_count
 
 # Nominal length of an array that is given by its address only.
 MAX_ARRAY_LENGTH = 2**31 - 1

@@ -10,6 +10,7 @@ import warp as wp
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact import contact_evaluation
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs, kinematics_structs
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.particles import particle_geometry
 from warpcontact.kernels.particles.base import (
@@ -19,15 +20,7 @@ from warpcontact.kernels.particles.base import (
     ParticleTraits,
     particle_structs,
 )
-from warpcontact.kernels.types import (
-    ENV_ACTIVE,
-    LaunchRange,
-    assume_nonnegative,
-    structs,
-    task_count,
-    task_env,
-    task_item,
-)
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
 
 
 @functools.cache

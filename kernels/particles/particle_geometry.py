@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.particles.base import ParticleTraits, particle_structs
-from warpcontact.kernels.types import Struct, assume_nonnegative, structs
+from warpcontact.kernels.types import Struct, structs
 
 # Squared sine of the angle below which two segments are parallel.
 PARALLEL = 1.0e-10

@@ -4,19 +4,11 @@ import functools
 from typing import NamedTuple
 
 import warp as wp
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.lowlevel.warps import lowest_set_bit, popcount
 from warpcontact.kernels.particles.base import BATCH_SIZE, IN_CONTACT, particle_structs
-from warpcontact.kernels.types import (
-    ENV_ACTIVE,
-    LaunchRange,
-    Struct,
-    assume_nonnegative,
-    structs,
-    task_count,
-    task_env,
-    task_item,
-)
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, Struct, structs, task_count, task_env, task_item
 
 
 class Functions(NamedTuple):
