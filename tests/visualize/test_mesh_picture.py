@@ -9,10 +9,8 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.meshes import examine_file, load_mesh, plot_file
 from warpcontact.meshes.picture.defects import find_defects
-from warpcontact.meshes.picture.marks import _split_by_visibility
-from warpcontact.meshes.picture.painter import paint
-from warpcontact.meshes.picture.sheet import length_unit
-from warpcontact.meshes.picture.view import View, best_direction
+from warpcontact.meshes.picture.marks import _split_by_visibility, length_unit
+from warpcontact.meshes.picture.view import View, best_direction, paint
 
 PNG = b"\x89PNG"
 

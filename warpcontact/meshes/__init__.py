@@ -16,11 +16,10 @@ from warpcontact.meshes.units import UNITS
 
 if TYPE_CHECKING:
     from warpcontact.meshes.isolation import Limits
-    from warpcontact.meshes.load import examine_file, load_mesh
-    from warpcontact.meshes.picture import plot_file
+    from warpcontact.meshes.load import examine_file, load_mesh, plot_file
 
 # Modules of rarely used names, imported on first access.
-_HOME = {"Limits": "isolation", "examine_file": "load", "load_mesh": "load", "plot_file": "picture"}
+_HOME = {"Limits": "isolation", "examine_file": "load", "load_mesh": "load", "plot_file": "load"}
 
 __all__ = [
     "REPAIRS",

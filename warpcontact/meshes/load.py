@@ -1,8 +1,9 @@
-"""Loads and examines mesh files: STL, OBJ, PLY, OFF, GLB and USD."""
+"""Loads, examines and draws mesh files: STL, OBJ, PLY, OFF, GLB and USD."""
 
 import os
 from pathlib import Path
 
+from warpcontact.files.picture_file import check_path
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import open_file
 from warpcontact.kernels.catalogue.keywords import explain_keywords
@@ -99,6 +100,48 @@ def examine_file(
     """
     found = examined(Path(path), None, Options(scale, unit, prim, repair, tolerance, trusted, limits))
     return found.complete_report(found.active(active_faces))
+
+
+@explain_keywords
+def plot_file(
+    path: str | os.PathLike[str],
+    picture: str | os.PathLike[str],
+    *,
+    scale: float = 1.0,
+    unit: str | None = None,
+    prim: str | None = None,
+    repair: RepairRequest = False,
+    tolerance: float = CRACK_LIMIT,
+    trusted: bool = False,
+    limits: Limits | None = None,
+    active_faces: FaceChoice = None,
+) -> MeshReport:
+    """Draws a mesh file, usable or not, into an .svg or .png file, and returns its report.
+
+    Args:
+        path: Mesh file, as for :func:`load_mesh`.
+        picture: Picture file to write.
+        scale: As for :func:`load_mesh`, like the following arguments.
+        unit: Unit of the file.
+        prim: Prim of a USD file.
+        repair: Repair steps applied first; the result is drawn.
+        tolerance: Distance below which ``merge`` joins vertices, relative to the largest dimension.
+        trusted: Whether to read without limits.
+        limits: Limits of the reader process.
+        active_faces: As for :func:`examine_file`; other faces are drawn pale.
+
+    Raises:
+        MeshError: If the file cannot be read.
+        ValueError: If an option is invalid, no face can be drawn, or the picture cannot be written.
+    """
+    from warpcontact.meshes.picture.sheet import plot_arrays
+
+    check_path(picture)
+    options = Options(scale, unit, prim, repair, tolerance, trusted, limits)
+    found = examined(Path(path), None, options)
+    active = found.active(active_faces)
+    plot_arrays(found.vertices, found.faces, found.report, picture, active=active)
+    return found.complete_report(active)
 
 
 class Options:

@@ -225,7 +225,7 @@ class Mesh:
         Raises:
             ValueError: If the picture cannot be written, or an argument is invalid.
         """
-        from warpcontact.meshes.picture import plot_arrays
+        from warpcontact.meshes.picture.sheet import plot_arrays
 
         active = None if active_faces is None else face_mask("active_faces", active_faces, self)
         plot_arrays(self._vertices, self._faces, self._report, path, active=active, direction=direction)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from warpcontact.kernels import laws
 from warpcontact.kernels.catalogue.keywords import keywords_of, refuse_unknown
 from warpcontact.kernels.friction import Friction, Frictionless
-from warpcontact.meshes.quadrature import ORDERS, face_points
+from warpcontact.meshes.sample import ORDERS, face_points
 from warpcontact.scene.contact_range import ContactRange
 from warpcontact.scene.elements import Contact, ContactMaterial, Surface
 from warpcontact.scene.surface_contact import SIDES

@@ -123,7 +123,7 @@ def test_projected_force_converges_to_volume_in_range_faster_with_more_points(de
 
 @pytest.mark.parametrize("points", [1, 3, 6, 7])
 def test_quadrature_rules_are_exact_to_their_order(points):
-    from warpcontact.meshes.quadrature import ORDERS, face_points
+    from warpcontact.meshes.sample import ORDERS, face_points
 
     corner = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     found = face_points(wc.Mesh(corner, [[0, 1, 2]]), points, np.ones(1, dtype=bool))

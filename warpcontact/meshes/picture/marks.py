@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 
 # Line widths of visible and hidden lines [pt], and opacity of hidden ones.
 SEEN, HIDDEN, FAINT = 2.0, 1.2, 0.4
-# Connected lines smaller than this get a ring, because they are easily overlooked [pixels of the painter].
+# Connected lines smaller than this get a ring, because they are easily overlooked [rasterized pixels].
 SMALL = 24.0
 # Smallest distance between rings [pixels].
 RING = 24.0
@@ -156,9 +156,15 @@ def _draw_axes(axes: Any, view: View) -> None:
         axes.text(*(origin + 1.28 * arrow), name, color=color, ha="center", va="center", fontsize="medium")
 
 
-def _draw_bar(axes: Any, view: View) -> None:
-    from warpcontact.meshes.picture.sheet import length_unit
+def length_unit(length: float) -> tuple[str, float]:
+    """Returns the unit in which ``length`` [m] is at least 1, and its size [m]."""
+    for unit, factor in (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
+        if length >= factor:
+            return unit, factor
+    return "nm", 1e-9
 
+
+def _draw_bar(axes: Any, view: View) -> None:
     rows, columns = view.size
     longest = BAR * columns / view.scale
     decade = 10.0 ** np.floor(np.log10(longest))

@@ -7,20 +7,15 @@ import numpy as np
 import numpy.typing as npt
 
 from warpcontact.files.picture_file import check_path, save
-from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.meshes.groups import FaceChoice
-from warpcontact.meshes.isolation import Limits
 from warpcontact.meshes.picture.defects import Defects, find_defects
-from warpcontact.meshes.picture.marks import draw_marks, line_kinds, spot_kinds
-from warpcontact.meshes.picture.painter import paint
-from warpcontact.meshes.picture.view import View, best_direction, direction_text
-from warpcontact.meshes.repair import RepairRequest
+from warpcontact.meshes.picture.marks import draw_marks, length_unit, line_kinds, spot_kinds
+from warpcontact.meshes.picture.view import View, best_direction, direction_text, paint
 from warpcontact.meshes.report import MeshReport
-from warpcontact.meshes.topology import CRACK_LIMIT, area_vectors
+from warpcontact.meshes.topology import area_vectors
 
 Array = npt.NDArray[np.float64]
 
-# Pixels of each view, and number of painter pixels per picture pixel along each axis.
+# Pixels of each view, and number of rasterized pixels per picture pixel along each axis.
 ROWS, COLUMNS, FINE = 560, 640, 2
 DPI = 120
 # Colors of faces: red, green and blue.
@@ -35,50 +30,6 @@ COLUMNS_OF_LEGEND = 4
 LARGE = 250
 # Brightness of edges of large faces and of creases, and cosine of the smallest crease angle (40°).
 EDGE, CREASE, CREASE_COSINE = 0.80, 0.72, 0.77
-
-
-@explain_keywords
-def plot_file(
-    path: str | PathLike[str],
-    picture: str | PathLike[str],
-    *,
-    scale: float = 1.0,
-    unit: str | None = None,
-    prim: str | None = None,
-    repair: RepairRequest = False,
-    tolerance: float = CRACK_LIMIT,
-    trusted: bool = False,
-    limits: Limits | None = None,
-    active_faces: FaceChoice = None,
-) -> MeshReport:
-    """Draws a mesh file, usable or not, into an .svg or .png file, and returns its report.
-
-    Args:
-        path: Mesh file, as for :func:`load_mesh`.
-        picture: Picture file to write.
-        scale: As for :func:`load_mesh`, like the following arguments.
-        unit: Unit of the file.
-        prim: Prim of a USD file.
-        repair: Repair steps applied first; the result is drawn.
-        tolerance: Distance below which ``merge`` joins vertices, relative to the largest dimension.
-        trusted: Whether to read without limits.
-        limits: Limits of the reader process.
-        active_faces: As for :func:`examine_file`; other faces are drawn pale.
-
-    Raises:
-        MeshError: If the file cannot be read.
-        ValueError: If an option is invalid, no face can be drawn, or the picture cannot be written.
-    """
-    from pathlib import Path
-
-    from warpcontact.meshes.load import Options, examined
-
-    check_path(picture)
-    options = Options(scale, unit, prim, repair, tolerance, trusted, limits)
-    found = examined(Path(path), None, options)
-    active = found.active(active_faces)
-    plot_arrays(found.vertices, found.faces, found.report, picture, active=active)
-    return found.complete_report(active)
 
 
 def plot_arrays(
@@ -202,14 +153,6 @@ def _heading(report: MeshReport, corners: Array) -> str:
     unit, factor = length_unit(float(size.max()))
     lengths = " × ".join(f"{length / factor:.4g}" for length in size)
     return f"{report.name}:  {lengths} {unit} (x, y, z),  {report.face_count:,} faces"
-
-
-def length_unit(length: float) -> tuple[str, float]:
-    """Returns the unit in which ``length`` [m] is at least 1, and its size [m]."""
-    for unit, factor in (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
-        if length >= factor:
-            return unit, factor
-    return "nm", 1e-9
 
 
 def _legend(
