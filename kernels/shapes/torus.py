@@ -10,7 +10,11 @@ from warpcontact.kernels.shapes.base import Shape, SignedDistance, one, zero
 
 
 class Torus(Shape):
-    """A torus about the z axis: all points within r of the core circle of radius R in the plane z = 0."""
+    """A torus about the z axis: all points within r of the core circle of radius R in the plane z = 0.
+
+    A contact is determined at the point of the core circle that is deepest in the other shape. A contact deeper than r
+    is NOT_CONVERGED, and exerts no force, if that point is equally close to two sides of the other shape.
+    """
 
     formula = "(√(x² + y²) − R)² + z² = r²"
     convex: ClassVar[bool] = False

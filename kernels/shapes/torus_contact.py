@@ -5,9 +5,8 @@ the other shape, minus r. f has several minima. The whole circle is searched in 
 on the pose only. The signed distance from a convex body is convex, so f + ½ R θ² is convex: values and slopes at
 two samples bound f from below in between. Only intervals that can contain a lower value are refined.
 
-At a kink of f in its minimum, two separations of the other shape are equally short and neither is normal to the
-tube. For a convex body, the torus then separates along the shorter of two displacements: as a whole, like its
-convex hull, or around the body in its hole (``torus_interlocked.py``).
+If the core circle is inside the other shape, f can have a kink at its minimum: two separations of the other shape are
+equally short and neither is normal to the tube. Such a contact is NOT_CONVERGED.
 """
 
 import functools
@@ -15,25 +14,18 @@ import math
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.catalogue.device_model import coefficient_struct
-from warpcontact.kernels.shapes import convex, root_bracketing, torus_interlocked
 from warpcontact.kernels.shapes.base import (
-    AXIS_TOLERANCE,
     Shape,
     ShapeContactPoint,
     SignedDistance,
-    WarmStart,
     half,
-    one,
     real,
     vec3d,
     zero,
 )
-from warpcontact.kernels.shapes.hull import Hull
-from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.kernels.shapes.signed_distance import signed_distance
 from warpcontact.kernels.shapes.torus import Torus
-from warpcontact.kernels.types import MET, NOT_CONVERGED
+from warpcontact.kernels.types import NOT_CONVERGED
 
 #: Number of samples on the circle, and of subintervals between two of them.
 SAMPLES = 48
@@ -42,6 +34,9 @@ SAMPLE_ANGLE = wp.constant(real(2.0 * math.pi / SAMPLES))
 SUBINTERVAL_ANGLE = wp.constant(real(2.0 * math.pi / SAMPLES / SUBINTERVALS))
 # Largest accepted f'/R, the cosine between normal and circle.
 MAX_SLOPE = wp.constant(real(1.0e-9))
+# Every n-th step to a minimum is a bisection because of kinks. A smooth minimum takes 8 to 10 steps.
+BISECTION_INTERVAL = wp.constant(wp.int32(4))
+MAX_STEPS = wp.constant(wp.int32(60))
 # Width of a bracket that is a point of the circle [rad], and slope that is zero.
 ANGLE_TOLERANCE = wp.constant(real(1.0e-15))
 # Accuracy of a point of the circle relative to R, and largest cosine accepted if that rounding explains it.
@@ -64,38 +59,53 @@ class CircleSample:
     slope: real  # df/dθ over R
 
 
+@wp.struct
+class SlopeBracket:
+    """Interval of the core circle in which the slope of f rises through zero."""
+
+    a: real  # lower end [rad]
+    b: real  # upper end [rad]
+    slope_a: real  # at a, halved each time b moves twice in a row (Illinois rule)
+    slope_b: real  # at b, likewise
+    moved_end: wp.int32  # end that moved last: −1, 1, or 0 for none
+    steps: wp.int32
+
+
 @wp.func
-def secant(a: real, b: real, f_a: real, f_b: real):
-    """Returns the zero of the secant. The form a + t (b − a) would leave a larger slope from rounding."""
-    return (a * f_b - b * f_a) / (f_b - f_a)
+def next_angle(bracket: SlopeBracket):
+    """Returns the next angle to evaluate: the zero of the secant, or the middle in every fourth step."""
+    if bracket.steps % BISECTION_INTERVAL == BISECTION_INTERVAL - 1:
+        return bracket.a + (bracket.b - bracket.a) * half
+    # The form a + t (b − a) would leave a larger slope from rounding.
+    root = (bracket.a * bracket.slope_b - bracket.b * bracket.slope_a) / (bracket.slope_b - bracket.slope_a)
+    return wp.clamp(root, bracket.a, bracket.b)
+
+
+@wp.func
+def narrow_bracket(bracket: SlopeBracket, angle: real, slope: real):
+    """Returns the bracket with an end at ``angle``, where f has the given slope."""
+    bracket.steps += 1
+    if slope <= zero:
+        bracket.a = angle
+        bracket.slope_a = slope
+        if bracket.moved_end == -1:
+            bracket.slope_b = half * bracket.slope_b
+        bracket.moved_end = wp.int32(-1)
+    if slope >= zero:
+        bracket.b = angle
+        bracket.slope_b = slope
+        if bracket.moved_end == 1:
+            bracket.slope_a = half * bracket.slope_a
+        bracket.moved_end = wp.int32(1)
+    return bracket
 
 
 @functools.cache
 def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
     """Returns the device function for a torus and a closed shape; arguments as in ``pair_dispatch.py``."""
     distance_at = signed_distance(B)
-    convex_b = B.convex and B is not Plane
-    hull_contact = interlocked_gap = loop_at_pole = HullCoefficients = None
-    if convex_b:
-        interlocked = torus_interlocked.functions(B)
-        hull_contact, interlocked_gap, loop_at_pole = (
-            convex.pair_function(Hull, B),
-            interlocked.interlocked_gap,
-            interlocked.loop_at_pole,
-        )
-        HullCoefficients = coefficient_struct(Hull, real)
     samples = wp.constant(wp.int32(SAMPLES))
     subintervals = wp.constant(wp.int32(SUBINTERVALS))
-    # Every fourth step is a bisection because of kinks. A smooth minimum takes 8 to 10 steps.
-    search_of = root_bracketing.functions(
-        CircleSample, secant, bisection_interval=4, max_steps=60, min_width=float(ANGLE_TOLERANCE)
-    )
-    start, is_running, next_point, update = (
-        search_of.start,
-        search_of.is_running,
-        search_of.next_point,
-        search_of.update,
-    )
     Values = wp.types.vector(SAMPLES, real)
 
     @wp.func
@@ -112,18 +122,26 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
     @wp.func
     def minimize(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, low: CircleSample, high: CircleSample):
         """Returns the minimum between a falling and a rising slope, and the number of steps."""
-        search = start(low, low.angle, low.slope, high, high.angle, high.slope)
+        bracket = SlopeBracket()
+        bracket.a = low.angle
+        bracket.b = high.angle
+        bracket.slope_a = low.slope
+        bracket.slope_b = high.slope
         best = low
         if high.closest.gap < low.closest.gap:
             best = high
-        while is_running(search) and wp.abs(best.slope) > ANGLE_TOLERANCE:
-            now = sample_circle(p_a, p_b, x, q, next_point(search))
-            search = update(search, now.angle, now.slope, now)
+        while (
+            bracket.steps < MAX_STEPS
+            and bracket.b - bracket.a > ANGLE_TOLERANCE
+            and wp.abs(best.slope) > ANGLE_TOLERANCE
+        ):
+            now = sample_circle(p_a, p_b, x, q, next_angle(bracket))
+            bracket = narrow_bracket(bracket, now.angle, now.slope)
             # Compare beyond rounding: the zero of the slope is more accurate than the minimum of f.
             lower = now.closest.gap < best.closest.gap - VALUE_ROUNDING * p_a.major_radius
             if lower or wp.abs(now.slope) <= wp.abs(best.slope):
                 best = now
-        return best, search.steps
+        return best, bracket.steps
 
     @wp.func
     def lower_bound(radius: real, low: real, low_slope: real, high: real, high_slope: real, width: real):
@@ -137,35 +155,6 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
             )
             lower_value = wp.min(lower_value, low + radius * low_slope * crossing_angle)
         return lower_value - half * radius * width * width
-
-    @wp.func
-    def separate_convex(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, deepest: real, iterations: wp.int32):
-        """Returns the contact of a torus and a convex body if f has a kink at its minimum ``deepest``."""
-        # Each loop contains the azimuth of the minimum, so no loop has a higher gap, up to the accuracy of the
-        # minimum.
-        upper_limit = deepest + MAX_SLOPE * p_a.major_radius
-        hull_coefficients = HullCoefficients()
-        hull_coefficients.major_radius = p_a.major_radius
-        hull_coefficients.minor_radius = p_a.minor_radius
-        contact = hull_contact(hull_coefficients, p_b, x, q, WarmStart())
-        contact.iterations += iterations
-        if contact.status == MET:
-            # The flat side of the hull does not belong to the torus: there the body leaves through the hole.
-            n_A = wp.quat_rotate_inv(q, contact.normal)
-            flat = wp.length(wp.vec2d(n_A[0], n_A[1])) <= AXIS_TOLERANCE
-            lower_value = contact.gap + p_a.minor_radius
-            loop, found = interlocked_gap(p_a, p_b, x, q, lower_value, upper_limit)
-            if flat and not found:
-                # The loop is too close to the axis for the grid.
-                contact.residual = one
-                loop, found = loop_at_pole(p_a, p_b, x, q, contact.normal, lower_value, upper_limit)
-            if found:
-                contact.normal = loop.normal
-                contact.gap = loop.gap - p_a.minor_radius
-                contact.point_b = loop.point
-                contact.point_a = loop.center - p_a.minor_radius * loop.normal
-                contact.residual = wp.length(loop.tangential_offset) / p_a.major_radius
-        return contact
 
     @wp.func
     def separate_crossing(p_a: Any, p_b: Any, q: wp.quatd, at: CircleSample, contact: ShapeContactPoint):
@@ -221,9 +210,6 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
         contact.point_a = best.center - p_a.minor_radius * contact.normal
         contact.iterations = iterations
         contact.residual = wp.abs(best.slope)
-        if wp.static(convex_b):
-            if contact.residual > MAX_SLOPE:
-                contact = separate_convex(p_a, p_b, x, q, best.closest.gap, iterations)
         max_slope = MAX_SLOPE
         if wp.static(B is Torus):
             # If the core circles nearly cross, rounding of a point can turn the normal by any angle.

@@ -4,8 +4,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from convex_pairs import heights
-from scipy.ndimage import label
 from warpcontact.kernels.catalogue.device_model import coefficient_struct, parameter
 from warpcontact.kernels.shapes import nonconvex_pairs, shapes
 from warpcontact.kernels.shapes.base import ShapeContactPoint, WarmStart
@@ -123,31 +121,6 @@ def signed_distance(shape: Any, p):
     if isinstance(shape, Torus):
         return np.hypot(across - shape.major_radius, p[..., 2]) - shape.minor_radius
     raise TypeError(shape)
-
-
-def largest_separation(ring, other, x, q, columns=96, rows=48):
-    """Gap of a torus and a convex body pierced by its core circle, from support functions on a grid of directions.
-
-    It is the larger of two: the gap to the convex hull, the maximum over all directions, and the gap with the ring
-    around the body. The latter is the smallest level below which a path of grid cells connects the poles.
-    """
-    angle = 2.0 * np.pi * np.arange(columns)[:, None] / columns
-    up = np.pi * ((np.arange(rows) + 0.5) / rows - 0.5)
-    level = np.cos(up) + 0.0 * angle
-    own = np.stack([level * np.cos(angle), level * np.sin(angle), np.sin(up) + 0.0 * angle], axis=-1)
-    n = rotated(q, own)
-    values = {name: np.array([value]) for name, value in other.parameters().items()}
-    between = n @ x - heights(type(other), values, n.reshape(1, -1, 3)).reshape(columns, rows)
-    hull = (between - ring.major_radius * level).max()
-    around = between + ring.major_radius * level
-    low, high = around.min(), around.max()
-    while high - low > 1e-5:
-        middle = 0.5 * (low + high)
-        # Three copies side by side, so that paths can cross the seam of the columns.
-        cells, _ = label(np.tile(around < middle, (3, 1)))
-        joined = (np.intersect1d(cells[:, 0], cells[:, -1]) > 0).any()
-        low, high = (low, middle) if joined else (middle, high)
-    return max(hull, low) - ring.minor_radius
 
 
 class Quadric(ParametricSurface):

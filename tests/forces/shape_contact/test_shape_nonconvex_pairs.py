@@ -9,7 +9,6 @@ from case_marks import slow_except
 from nonconvex_pairs import (
     Quadric,
     inverse_rotation,
-    largest_separation,
     packed,
     random_rotations,
     rotated,
@@ -24,13 +23,15 @@ from warpcontact.kernels.shapes.parametric_surface import ParametricSurface, par
 from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
+import warpcontact as wc
+
 S = shapes
 RING = Torus(major_radius=0.5, minor_radius=0.12)
 SOLIDS = [
     S.Sphere(0.3), S.Plane(), S.Ellipsoid((0.5, 0.3, 0.2)), S.Capsule(0.15, 0.3), S.Cylinder(0.25, 0.3),
     S.RoundedBox((0.3, 0.25, 0.2), 0.05), S.Cone(0.3, 0.6), Torus(0.4, 0.1),
 ]  # fmt: skip
-# Bodies that the core circle of a torus can pierce; then there are two directions to separate.
+# Bodies in which the core circle of a torus can be equally near to two exits.
 PIERCED = (S.Ellipsoid, S.Cylinder, S.RoundedBox, S.Cone)
 names = {"ids": lambda shape: type(shape).__name__}
 
@@ -81,7 +82,8 @@ def check_ring(other, count, seed, device, angles=600):
     step = RING.major_radius * np.pi / angles
     assert (gap[smooth] >= least[smooth] - step).all()
     check_facing(contact[good], RING, other, x[good], q[good])
-    return (~good).sum()
+    # All are solved unless the core circle is in the body.
+    return (~good & (contact["gap"] > -RING.minor_radius)).sum()
 
 
 @pytest.mark.parametrize(
@@ -98,18 +100,36 @@ def test_torus_contact_is_at_the_deepest_point_of_its_core_circle(other, device)
     slow_except([shape for shape in SOLIDS if type(shape) in PIERCED], lambda shape: type(shape) is S.Cylinder),
     **names,
 )
-def test_pierced_torus_separates_along_the_shortest_direction(other, device):
+def test_torus_is_not_converged_if_two_exits_of_its_core_circle_are_equally_near(other, device):
     x, q, least = ring_case(other, 2000, 11)
     contact = shape_contacts(RING, other, x, q, device)
-    assert (contact["status"] == MET).all()
-    check_facing(contact, RING, other, x, q)
-    # If the shortest exit at the deepest point of the core circle is not across the tube, the contact is
-    # elsewhere.
-    pierced = np.flatnonzero(contact["gap"] < least - 3e-3)[:40]
-    assert len(pierced) == 40
-    grid = [largest_separation(RING, other, x[i], q[i]) for i in pierced]
-    # Cells are 0.065 apart. At an edge of g, whose slope is the width of the body, the error is half of a cell.
-    np.testing.assert_allclose(contact["gap"][pierced], grid, atol=0.012)
+    flagged = contact["status"] == NOT_CONVERGED
+    assert 0.02 < flagged.mean() < 0.2
+    # The core circle is in the body, and its deepest point has no exit across the tube.
+    assert (contact["gap"][flagged] < -RING.minor_radius).all()
+    assert (contact["residual"][flagged] > 1e-6).all()
+    good = ~flagged
+    check_facing(contact[good], RING, other, x[good], q[good])
+    np.testing.assert_allclose(contact["gap"][good], least[good], atol=RING.major_radius * np.pi / 600)
+
+
+def test_contact_of_a_torus_in_deep_overlap_is_reported_and_exerts_no_force(device):
+    """The core circle passes along the diagonal of a box: the two sides of the edge are equally near."""
+    scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
+    material = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e5, damping=10.0))
+    ring = scene.add_body(1.0, (0.1, 0.1, 0.2), position=(-0.5, 0.0, 0.0), name="ring")
+    tube = scene.add_shape(ring, RING, name="tube")
+    half = np.pi / 8
+    box = scene.add_shape(
+        None, S.RoundedBox((0.3, 0.3, 0.3), 0.0), orientation=(0.0, 0.0, np.sin(half), np.cos(half)), name="box"
+    )
+    scene.add_shape_contact(tube, box, material, name="pierced")
+    model = scene.build(device=device)
+    with pytest.warns(wc.RunWarning, match="'tube' and 'box' did not converge"):
+        wc.Simulation(model, dt=1e-4).run(1e-3, [], progress=False)
+    assert model.sensor("pierced.status")[0] == wc.ContactStatus.NOT_CONVERGED
+    assert model.sensor("pierced.failures")[0] == 10
+    np.testing.assert_array_equal(model.sensor("ring.position")[0], (-0.5, 0.0, 0.0))
 
 
 @pytest.mark.slow
@@ -139,13 +159,11 @@ def test_torus_contact_is_correct_for_bodies_of_any_size(kind, times, device):
         x, q, least = ring_case(other, 5000, seed, angles=20)
         contact = shape_contacts(RING, other, x, q, device)
         good = contact["status"] == MET
-        missed += (~good).sum()
+        missed += (~good & (contact["gap"] > -RING.minor_radius)).sum()
         # The gap is at most that of every sample of the circle.
         assert (contact["gap"][good] <= least[good] + 1e-9).all()
         check_facing(contact[good], RING, other, x[good], q[good])
-    # For slender bodies, about 1 of 100 000 is reported as not converged: for boxes 5 of 600 000, formerly 64 of
-    # 100 000. More than two here would mean a higher rate.
-    assert missed <= 2
+    assert missed == 0
 
 
 @pytest.mark.parametrize("axes", [(0.5, 0.3, 0.2), (0.54, 0.09, 0.06), (0.2, 0.5, 0.5), (0.5, 0.2, 0.2)])
@@ -212,7 +230,9 @@ def test_torus_contact_is_symmetric_in_the_pair(device):
     one = shape_contacts(RING, SOLIDS[2], x, q, device)
     other = shape_contacts(SOLIDS[2], RING, rotated(inverse_rotation(q), -x), inverse_rotation(q), device)
     np.testing.assert_array_equal(other["status"], one["status"])
-    assert (one["status"] == MET).all()
+    good = one["status"] == MET
+    assert good.mean() > 0.9
+    x, q, one, other = x[good], q[good], one[good], other[good]
     np.testing.assert_allclose(other["gap"], one["gap"], atol=1e-12)
     np.testing.assert_allclose(rotated(q, other["point_a"]) + x, one["point_b"], atol=1e-9)
     np.testing.assert_allclose(rotated(q, other["normal"]), -one["normal"], atol=1e-9)
