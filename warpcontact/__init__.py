@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from warpcontact.stepping.recording import Recording
     from warpcontact.stepping.simulation import Simulation
     from warpcontact.usd import check_usd, export_usd
-    from warpcontact.usd.importing.errors import UsdError
+    from warpcontact.usd.importing.findings import UsdError
     from warpcontact.validation.warning_levels import ContactWarning, RunWarning, WarningLevel
     from warpcontact.visualize.rendering import film, render
     from warpcontact.visualize.report import report
@@ -113,7 +113,7 @@ _HOME = {
     "SplitModel": "warpcontact.building.model",
     "Spring": "warpcontact.kernels.couplings.springs.base",
     "SpringDamper": "warpcontact.scene.couplings",
-    "UsdError": "warpcontact.usd.importing.errors",
+    "UsdError": "warpcontact.usd.importing.findings",
     "ContactStatus": "warpcontact.scene.status",
     "RunDataError": "warpcontact.experiment",
     "StopCondition": "warpcontact.stepping.outcomes.watch",

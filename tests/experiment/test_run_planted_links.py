@@ -269,7 +269,6 @@ USERS = (
     "files/picture_file.py",
     "stepping/checkpoint.py",
     "usd/clips.py",
-    "usd/files.py",
 )
 # Calls that do not access the file system, or access files elsewhere.
 ALLOWED = {
@@ -279,7 +278,7 @@ ALLOWED = {
     ("experiment/trust.py", "mkdir"),  # the state folder of the user
     ("experiment/trust.py", "touch"),
     ("visualize/report/write.py", "read_text"),  # of the package
-    ("usd/files.py", "TemporaryDirectory"),  # a new folder with a random name
+    ("usd/clips.py", "TemporaryDirectory"),  # a new folder with a random name
 }
 
 

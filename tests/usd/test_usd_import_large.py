@@ -9,8 +9,8 @@ from physics_stages import BODY, COLLIDER, moved, prim, stage
 
 import warpcontact as wc
 from warpcontact.usd.importing import physics
-from warpcontact.usd.importing.assemble import element_names
-from warpcontact.usd.importing.pairs import group_particles, other_pairs, pairs_within_groups
+from warpcontact.usd.importing.contacts import group_particles, other_pairs, pairs_within_groups
+from warpcontact.usd.importing.scene_from_stage import element_names
 
 FREE = BODY.replace("PhysicsMassAPI", "PhysicsCollisionAPI")
 

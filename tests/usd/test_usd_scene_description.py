@@ -9,9 +9,10 @@ from pxr import Usd, UsdGeom
 
 import warpcontact as wc
 from warpcontact.usd.author import identifiers
-from warpcontact.usd.catalogue import LIBRARY
-from warpcontact.usd.description import read_description, write_description
-from warpcontact.usd.serialize import element_calls
+from warpcontact.usd.description import write_description
+from warpcontact.usd.importing.restore import restore_scene
+from warpcontact.usd.importing.stage import read_records
+from warpcontact.usd.serialize import LIBRARY, element_calls
 
 SCENES = {"contacts": scenes.contact_scene, "shapes": scenes.shape_scene, "custom law": scenes.custom_law_scene}
 
@@ -21,6 +22,11 @@ def written(scene):
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     write_description(stage, scene, identifiers(scene.element_names()))
     return stage
+
+
+def read_description(stage, custom_types=()):
+    records = read_records(stage)
+    return None if records is None else restore_scene(records, custom_types)
 
 
 def reread(stage, tmp_path, suffix):

@@ -123,7 +123,7 @@ def export(arguments: argparse.Namespace) -> None:
             raise ValueError(f"--parquet: {error}") from None
     else:
         from warpcontact.usd import export_usd
-        from warpcontact.usd.coloring import named_number
+        from warpcontact.usd.ensemble import named_number
 
         recording, scene = run.recording, run.scene
         run.check_series()

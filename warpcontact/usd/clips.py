@@ -1,4 +1,6 @@
-"""Writes long recordings as USD value clips: files of some records each, written one by one and resumable.
+"""Writes stage files: complete or not at all, and long recordings as USD value clips.
+
+Clips are files of some records each, written one by one and resumable:
 
     run.usdc                          metadata, and the clip of each time
     run.usdc.clips/topology.usdc      all that is constant over time, and the first record as default values
@@ -10,12 +12,14 @@ One block of records is in memory at a time. A clip also holds the first record 
 interpolate between clips. The stage is removed before its clips change and written last: if it exists, it is complete.
 """
 
+import contextlib
 import hashlib
 import json
 import re
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,11 +27,15 @@ from warpcontact.drawing.content import Content
 from warpcontact.drawing.couplings import Coil
 from warpcontact.files.atomic_files import write_json
 from warpcontact.files.regular_files import UnsafeFileError
-from warpcontact.files.run_folder import RunPath, below_run
-from warpcontact.usd.author import Samples
-from warpcontact.usd.files import remove_file, save_layer
-from warpcontact.usd.layout import WORLD
-from warpcontact.usd.stage import Export, ProgressCallback
+from warpcontact.files.run_folder import PARTIAL, RunPath, below_run, place_of
+from warpcontact.usd.author import WORLD, Samples
+
+if TYPE_CHECKING:
+    from warpcontact.usd.export import Export, ProgressCallback
+
+#: Suffixes of stage files.
+SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+_PACKAGE = ".usdz"
 
 FOLDER_SUFFIX = ".clips"
 RECORD = "clips.json"
@@ -35,6 +43,91 @@ RECORD = "clips.json"
 _CLIP = re.compile(r"clip_.*\.usdc")
 
 Range = tuple[int, int]
+
+
+def check_path(path: str | Path) -> Path:
+    """Returns ``path`` as a ``Path``.
+
+    Raises:
+        ValueError: If its suffix is not one of ``SUFFIXES``.
+    """
+    file = Path(path)
+    if file.suffix not in SUFFIXES:
+        raise ValueError(f"path must end in {', '.join(SUFFIXES)}, got {str(path)!r}")
+    return file
+
+
+def save_stage(stage: Any, path: Path) -> None:
+    """Writes a stage to a file, or a package of one."""
+    if path.suffix == _PACKAGE:
+        _save_package(stage, path)
+    else:
+        save_layer(stage.GetRootLayer(), path)
+
+
+def save_layer(layer: Any, path: Path | RunPath) -> None:
+    """Writes a layer. An existing file is replaced when the new one is complete.
+
+    Raises:
+        OSError: If the file cannot be written; the message names it.
+    """
+    with _atomic_replace(path) as partial:
+        layer.Export(str(partial))
+
+
+def remove_file(path: Path) -> None:
+    """Removes a file if it exists, and syncs the folder, so that the removal precedes later writes on disk.
+
+    Raises:
+        OSError: If the file cannot be removed; the message names it.
+    """
+    place = place_of(path)
+    try:
+        if place.is_there():
+            place.remove()
+            place.parent.sync()
+    except OSError as error:
+        raise OSError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _save_package(stage: Any, path: Path) -> None:
+    from pxr import Sdf, UsdUtils
+
+    with (
+        _atomic_replace(path) as partial,
+        tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder,
+    ):
+        content = Path(folder) / f"{path.stem}.usdc"
+        stage.GetRootLayer().Export(str(content))
+        if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(content)), str(partial)):
+            raise OSError("the package could not be created")
+
+
+@contextlib.contextmanager
+def _atomic_replace(path: Path | RunPath) -> Iterator[Path]:
+    """Yields the name of a temporary file that replaces ``path`` if the block ends without an error."""
+    from pxr import Sdf, Tf
+
+    place = place_of(path)
+    path = place.path
+    try:
+        place.parent.make()
+        # The suffix determines the format.
+        with place.replaced(f".{path.stem}{PARTIAL}{path.suffix}") as partial:
+            yield partial.path
+    except (Tf.ErrorException, OSError) as error:
+        reason = error.strerror or str(error) if isinstance(error, OSError) else _first_sentence(str(error))
+        raise OSError(f"cannot write {path}: {reason}") from error
+    # USD caches open files by name, so reload an earlier version that is open.
+    opened = Sdf.Layer.Find(str(path.resolve()))
+    if opened:
+        opened.Reload(force=True)
+
+
+def _first_sentence(message: str) -> str:
+    """Returns the first sentence of a USD error, without source locations."""
+    parts = [line.partition(" : ")[2].strip(" '") for line in message.strip().splitlines()]
+    return next(filter(None, parts), message.strip())
 
 
 def check_frames(value: Any, path: Path) -> int:
@@ -45,7 +138,7 @@ def check_frames(value: Any, path: Path) -> int:
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise ValueError(f"clip_frames must be a whole number of records, at least 1, got {value!r}")
-    if path.suffix == ".usdz":
+    if path.suffix == _PACKAGE:
         raise ValueError(f"clip_frames is not for .usdz, which is one file, got {str(path)!r}")
     return int(value)
 
@@ -54,12 +147,12 @@ class Clips:
     """Writes an export as clips.
 
     Args:
-        export: Export to write.
+        export: "Export" to write.
         path: Path of the stage.
         frames: Number of records per clip.
     """
 
-    def __init__(self, export: Export, path: Path, frames: int) -> None:
+    def __init__(self, export: "Export", path: Path, frames: int) -> None:
         self.export = export
         self.path = path
         folder = path.with_name(path.name + FOLDER_SUFFIX)
@@ -68,7 +161,7 @@ class Clips:
         self.blocks = [(first, min(first + frames, count)) for first in range(0, count, frames)]
         self._inputs: list[str] = []
 
-    def write(self, report_progress: ProgressCallback) -> None:
+    def write(self, report_progress: "ProgressCallback") -> None:
         """Writes the clips that do not exist yet, then the stage.
 
         Raises:
@@ -161,7 +254,7 @@ class Clips:
         return manifest if isinstance(manifest, dict) else {}
 
     def _write_clip(
-        self, stage: Any, file: RunPath, block: Range, coils: dict[str, Coil], report_progress: ProgressCallback
+        self, stage: Any, file: RunPath, block: Range, coils: dict[str, Coil], report_progress: "ProgressCallback"
     ) -> None:
         from pxr import Sdf
 

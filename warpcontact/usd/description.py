@@ -1,12 +1,12 @@
-"""Writes and reads the whole scene as attributes ``warpcontact:*`` of a stage.
+"""Writes the whole scene as attributes ``warpcontact:*`` of a stage.
 
-A simulation of the scene read back is bitwise identical. Attributes are listed in ``docs/usd.md``. The description
+A simulation of the scene that ``importing.restore`` reads back is bitwise identical. Attributes are listed in ``docs/usd.md``. The description
 duplicates what UsdGeom and UsdPhysics hold, because positions of UsdGeom are single precision and the schemas have no
 force laws or springs.
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,8 @@ from warpcontact.scene.contact_range import ContactRange
 from warpcontact.scene.elements import ContactMaterial
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.author import identifiers
-from warpcontact.usd.catalogue import is_custom
-from warpcontact.usd.importing.records import SCHEMA
-from warpcontact.usd.serialize import ElementCall, ShapeParameters, element_calls
+from warpcontact.usd.importing.stage import SCHEMA
+from warpcontact.usd.serialize import ElementCall, ShapeParameters, element_calls, is_custom
 from warpcontact.validation.checks import Array
 
 #: Path of the description in exports.
@@ -44,23 +43,6 @@ def write_description(stage: Any, scene: SceneData, names: Mapping[str, str], ro
 
     with Sdf.ChangeBlock():
         _Description(stage.GetEditTarget().GetLayer(), scene, names, root).write()
-
-
-def read_description(stage: Any, custom_types: Iterable[type[Formula]] = ()) -> SceneData | None:
-    """Returns the scene that a stage describes; ``None`` if it has no description.
-
-    Args:
-        stage: Stage to read.
-        custom_types: Custom classes that the scene uses.
-
-    Raises:
-        UsdError: If the description is damaged, or a class is missing; the message names the prims.
-    """
-    from warpcontact.usd.importing.records import read_records
-    from warpcontact.usd.importing.restore import restore_scene
-
-    records = read_records(stage)
-    return None if records is None else restore_scene(records, custom_types)
 
 
 class _Description:

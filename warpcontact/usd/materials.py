@@ -8,11 +8,14 @@ import numpy as np
 
 from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.friction import Friction, Frictionless
+from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.scene.elements import Contact
 from warpcontact.scene.shapes import ShapeContact
-from warpcontact.usd.layout import WORLD
-from warpcontact.usd.rolling import rolling_radius
+from warpcontact.usd.author import WORLD
 from warpcontact.validation.checks import Array
+
+_FLAT = (shapes.Plane, shapes.RoundedBox)
 
 #: Parameters of a friction model that give its static and dynamic coefficient: the first group that it has.
 STATIC = (("mu_static",), ("mu",), ("mu_1", "mu_2"))
@@ -28,6 +31,20 @@ _NEWTON_ATTRIBUTES = {
 }
 # Units of stiffness and damping of laws with linear force; other laws have no counterpart.
 _LINEAR = {"stiffness": "N/m", "damping": "N·s/m"}
+
+
+def rolling_radius(form: Form, other: Form) -> float | None:
+    """Returns the rolling radius R of two shapes [m]; see ``Scene.add_shape_contact``.
+
+    ``None`` if R depends on the contact point. Edges of boxes and end faces of cylinders are ignored, because
+    nothing rolls on them.
+    """
+    for one, two in ((form, other), (other, form)):
+        if isinstance(one, shapes.Sphere | shapes.Capsule | shapes.Cylinder) and isinstance(two, _FLAT):
+            return one.radius
+        if isinstance(one, shapes.Sphere) and isinstance(two, shapes.Sphere | shapes.Capsule):
+            return one.radius * two.radius / (one.radius + two.radius)
+    return None
 
 
 @dataclass(frozen=True, eq=False)

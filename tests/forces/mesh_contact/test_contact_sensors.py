@@ -9,7 +9,7 @@ from test_experiment import content
 
 import warpcontact as wc
 from warpcontact import ContactStatus
-from warpcontact.usd.coloring import named_number
+from warpcontact.usd.ensemble import named_number
 
 DOCS = Path(__file__).parents[3] / "docs" / "contact.md"
 RADIUS, REACH, DEPTH = 0.1, 0.5, 0.05

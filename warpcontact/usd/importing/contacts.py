@@ -1,22 +1,34 @@
 """Selects contact pairs of imported colliders and adds their contacts; rules in ``docs/usd.md``."""
 
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import astuple, dataclass
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from warpcontact.kernels.shapes import shapes
 from warpcontact.meshes import sample_surface
 from warpcontact.scene.elements import Body, ContactMaterial, Points, Surface
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.shapes import Shape
-from warpcontact.usd.importing.contact_count import averaged_force_scale
 from warpcontact.usd.importing.contact_materials import ContactMaterials, PhysicsMaterial, Side
 from warpcontact.usd.importing.findings import InvalidValue
-from warpcontact.usd.importing.pairs import Numbers, group_particles, other_pairs, pairs_within_groups
 from warpcontact.usd.importing.shapes import ColliderShape
-from warpcontact.usd.rolling import rolling_radius
+from warpcontact.usd.materials import rolling_radius
+from warpcontact.validation.checks import Array
+
+#: Number of points that may carry their full force; with more, each carries a fraction. With this number, a dashpot at
+#: the smallest restitution is stable at time steps of 1/50 of the contact time.
+FULL_FORCE_POINTS = 4
+# Thickness of a flat part, as a fraction of the size of the point set.
+_FLAT = 0.01
+# Largest number of points and hull facets that are tested.
+_MAX_TRIED = 256
+
+Numbers = npt.NDArray[np.int64]
 
 #: More than this number of moving spheres and capsules of one material form a particle contact.
 MIN_PARTICLES = 32
@@ -24,6 +36,83 @@ MIN_PARTICLES = 32
 MOST_CONTACTS = 10_000
 #: Largest number of vertices of a static surface whose points are tested against moving bodies.
 MOST_POINTS = 2000
+
+
+def averaged_force_scale(points: Array, reach: float, *, convex: bool) -> float:
+    """Returns the fraction of its force that each point is given.
+
+    Args:
+        points: Positions of the points (n, 3) [m].
+        reach: Half the size of the opposite body [m], within which points can be in contact simultaneously.
+        convex: Whether only points in one flat part of the convex hull can be in contact simultaneously, as for a
+            body that lies on another.
+    """
+    tried = points[:: max(1, len(points) // _MAX_TRIED)]
+    count = int(KDTree(points).query_ball_point(tried, reach, return_length=True).max())
+    if convex:
+        count = min(count, _max_coplanar(points))
+    return min(1.0, FULL_FORCE_POINTS / count)
+
+
+def _max_coplanar(points: Array) -> int:
+    """Returns the largest number of points in one flat part of their convex hull."""
+    try:
+        planes = ConvexHull(points).equations
+    except (QhullError, ValueError):  # the points are coplanar
+        return len(points)
+    planes = planes[:: max(1, len(planes) // _MAX_TRIED)]
+    distance = points @ planes[:, :3].T + planes[:, 3]
+    return int((distance > -_FLAT * np.ptp(points, axis=0).max()).sum(axis=0).max())
+
+
+def group_particles(keys: Sequence[Hashable | None], min_count: int) -> Numbers:
+    """Returns the index of the particle contact of each item (n,); −1: none.
+
+    Args:
+        keys: Items with equal keys belong together; those with ``None`` to no particle contact.
+        min_count: A group needs more than this number of items. Groups are numbered by their first item.
+    """
+    alike: dict[Hashable, list[int]] = {}
+    for i, key in enumerate(keys):
+        if key is not None:
+            alike.setdefault(key, []).append(i)
+    groups = np.full(len(keys), -1, dtype=np.int64)
+    for number, members in enumerate(members for members in alike.values() if len(members) > min_count):
+        groups[members] = number
+    return groups
+
+
+def pairs_within_groups(groups: Numbers, pairs: Numbers) -> list[Numbers]:
+    """Returns, for each particle contact, those of the pairs (n, 2) whose items both belong to it."""
+    first, second = groups[pairs[:, 0]], groups[pairs[:, 1]]
+    same_group = np.flatnonzero((first == second) & (first >= 0))
+    same_group = same_group[np.argsort(first[same_group], kind="stable")]
+    ends = np.searchsorted(first[same_group], np.arange(groups.max(initial=-1) + 2))
+    return [pairs[same_group[start:end]] for start, end in pairwise(ends)]
+
+
+def other_pairs(
+    bodies: Numbers, moves: npt.NDArray[np.bool_], groups: Numbers, excluded: Numbers
+) -> Iterator[tuple[int, int]]:
+    """Iterates over the pairs of colliders that can be in contact, except those within a particle contact, in order.
+
+    Args:
+        bodies: Index of the carrier of each collider (n,); colliders of the same carrier are not paired.
+        moves: Whether forces move the carrier (n,); at least one of a pair must move.
+        groups: Index of the particle contact (n,); −1: none.
+        excluded: Index pairs without contact (m, 2), each with the lower index first, sorted.
+    """
+    starts = np.searchsorted(excluded[:, 0], np.arange(len(bodies) + 1))
+    for i in range(len(bodies)):
+        after = slice(i + 1, None)
+        may_touch = bodies[after] != bodies[i]
+        if not moves[i]:
+            may_touch &= moves[after]
+        if groups[i] >= 0:
+            may_touch &= groups[after] != groups[i]
+        may_touch[excluded[starts[i] : starts[i + 1], 1] - (i + 1)] = False
+        for j in np.flatnonzero(may_touch).tolist():
+            yield i, i + 1 + j
 
 
 @dataclass(eq=False)

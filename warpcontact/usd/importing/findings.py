@@ -1,5 +1,9 @@
-"""Findings collected while reading a stage, and validated values of attributes."""
+"""Error of a stage that cannot be imported, findings while it is read, and validated values of its attributes.
 
+Schemas are read without the plug-ins that define them.
+"""
+
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
@@ -7,8 +11,75 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.usd.importing.errors import shortened
-from warpcontact.usd.importing.schemas import value_of
+from warpcontact.validation import safe_text
+
+# Largest number of problems listed in the message, and characters of each.
+_LISTED = 50
+_LENGTH = 600
+
+#: Schemas included by those of Newton. USD adds them only if the plug-in of ``newton-usd-schemas`` is loaded.
+INCLUDED = {
+    "NewtonArticulationRootAPI": ("PhysicsArticulationRootAPI",),
+    "NewtonMassAPI": ("PhysicsMassAPI",),
+    "NewtonCollisionAPI": ("PhysicsCollisionAPI",),
+    "NewtonMeshCollisionAPI": ("NewtonCollisionAPI", "PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"),
+    "NewtonSDFCollisionAPI": ("NewtonCollisionAPI", "PhysicsCollisionAPI"),
+    "NewtonMaterialAPI": ("PhysicsMaterialAPI",),
+}
+
+
+class UsdError(ValueError):
+    """USD stage that cannot be imported as a scene.
+
+    Attributes:
+        problems: All problems, each with the path of its prim.
+    """
+
+    def __init__(self, subject: str, problems: Iterable[str]) -> None:
+        self.problems = tuple(problems)
+        shown = [shortened(problem, _LENGTH) for problem in self.problems[:_LISTED]]
+        if len(self.problems) > _LISTED:
+            shown.append(f"and {len(self.problems) - _LISTED} more, in the attribute problems of this error")
+        if len(self.problems) == 1:
+            super().__init__(safe_text.escape_controls(f"{subject}: {shown[0]}"))
+        else:
+            listed = "".join(f"\n  - {o}" for o in shown)
+            super().__init__(safe_text.escape_controls(f"{subject} has {len(self.problems)} problems:{listed}"))
+
+
+def shortened(text: object, most: int = 120) -> str:
+    """Returns a text as one line of at most ``most`` characters; shortens the middle, because paths end in names."""
+    return safe_text.truncate(safe_text.single_line(text), most, middle=True)
+
+
+def applied(prim: Any) -> list[str]:
+    """Returns the names of the applied schemas of a prim in order, without instance names and repetitions."""
+    names: dict[str, None] = {}
+    for full in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
+        name = str(full).partition(":")[0]
+        names |= dict.fromkeys((name, *INCLUDED.get(name, ())))
+    return list(names)
+
+
+def has(prim: Any, schema: str) -> bool:
+    """Returns whether a schema is applied to a prim, directly or included by another one."""
+    return schema in applied(prim)
+
+
+def value_of(attribute: Any, time: Any, fallback: Any = None) -> Any:
+    """Returns the value of an attribute; ``fallback`` if it does not exist, has no value, or is blocked."""
+    value = attribute.Get(time) if attribute else None
+    return fallback if value is None else value
+
+
+def is_on(attribute: Any, time: Any) -> bool:
+    """Returns a boolean attribute of UsdPhysics that is true by default."""
+    return bool(value_of(attribute, time, True))
+
+
+def is_authored(attribute: Any) -> bool:
+    """Returns whether an attribute has an authored value, other than the fallback of its schema."""
+    return bool(attribute) and attribute.HasAuthoredValue()
 
 
 @dataclass

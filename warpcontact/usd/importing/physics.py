@@ -1,24 +1,28 @@
-"""Reads UsdPhysics from a stage: gravity, rigid bodies, colliders and materials, in SI units, Z up.
+"""Reads UsdPhysics from a stage: gravity, rigid bodies, colliders, materials and solver settings, in SI units, Z up.
 
 Everything that is invalid, unsupported or read with a change is recorded in ``Findings``.
 """
 
 from dataclasses import asdict
 from math import inf, isfinite
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from warpcontact.meshes.readers.unreadable import Unreadable
-from warpcontact.usd.importing import prim_types
-from warpcontact.usd.importing.colliders import shape_of
-from warpcontact.usd.importing.filters import excluded_pairs
-from warpcontact.usd.importing.findings import Findings, InvalidValue, Unsupported, path_of, vector
-from warpcontact.usd.importing.masses import read_mass
-from warpcontact.usd.importing.materials import is_material, read_material
-from warpcontact.usd.importing.schemas import is_authored, value_of
-from warpcontact.usd.importing.stepping import NOTHING, Stepping, has_gravity, read_stepping
+from warpcontact.usd.importing.findings import (
+    Findings,
+    InvalidValue,
+    Unsupported,
+    is_authored,
+    number,
+    path_of,
+    value_of,
+    vector,
+)
+from warpcontact.usd.importing.prims import excluded_pairs, find_prims
+from warpcontact.usd.importing.properties import is_material, read_mass, read_material, shape_of
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +32,58 @@ GRAVITY = 9.81
 MOST = 50_000
 # Rotates Y up to Z up.
 _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+class Stepping(TypedDict):
+    """Requested solver settings; ``None``: not authored.
+
+    Attributes:
+        dt: Time step [s].
+        iterations: Maximum number of solver iterations per step.
+    """
+
+    dt: float | None
+    iterations: int | None
+
+
+#: Settings of a stage that has none.
+NOTHING: Stepping = {"dt": None, "iterations": None}
+
+
+def read_stepping(scene: Any, time: Any) -> Stepping:
+    """Returns the authored settings of the prim of a PhysicsScene.
+
+    Raises:
+        InvalidValue: If a value is out of range.
+    """
+    rate, iterations = (
+        scene.GetAttribute(f"newton:{name}") for name in ("timeStepsPerSecond", "maxSolverIterations")
+    )
+    found = NOTHING.copy()
+    if is_authored(rate):
+        found["dt"] = 1.0 / number(rate, time, least=1.0)
+    if is_authored(iterations):
+        count = int(number(iterations, time, least=-1.0))
+        # -1 requests the default of the solver.
+        found["iterations"] = count if count > 0 else None
+    return found
+
+
+def stepping_of(stage: Any) -> Stepping:
+    """Returns the settings of the first PhysicsScene of a stage.
+
+    Raises:
+        InvalidValue: If a value is out of range.
+    """
+    from pxr import Usd, UsdPhysics
+
+    scene = next((prim for prim in stage.Traverse() if prim.IsA(UsdPhysics.Scene)), None)
+    return NOTHING if scene is None else read_stepping(scene, Usd.TimeCode.EarliestTime())
+
+
+def has_gravity(scene: Any, time: Any) -> bool:
+    """Returns ``newton:gravityEnabled`` of the prim of a PhysicsScene; true if not authored."""
+    return bool(value_of(scene.GetAttribute("newton:gravityEnabled"), time, True))
 
 
 def read_physics(stage: Any, most_faces: int) -> dict[str, Any]:
@@ -86,7 +142,7 @@ class _Reader:
 
     def read(self) -> dict[str, Any]:
         self.metres, self.kilograms, self.up = self._units()
-        prims = prim_types.find_prims(self.stage, self.findings)
+        prims = find_prims(self.stage, self.findings)
         for what, count in (("rigid bodies", len(prims.bodies)), ("colliders", len(prims.colliders))):
             if count > MOST:
                 raise Unreadable(f"the stage has {count} {what}; allowed: {MOST}")

@@ -19,10 +19,9 @@ from warpcontact.scene.contact_range import ContactRange, ExpectedImpact
 from warpcontact.scene.elements import ContactMaterial
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.author import identifiers
-from warpcontact.usd.catalogue import Catalogue
-from warpcontact.usd.importing.errors import UsdError, shortened
-from warpcontact.usd.importing.records import SCHEMA, Record
-from warpcontact.usd.serialize import ADDERS, argument_names, required_names
+from warpcontact.usd.importing.findings import UsdError, shortened
+from warpcontact.usd.importing.stage import SCHEMA, Record
+from warpcontact.usd.serialize import ADDERS, Catalogue, argument_names, required_names
 
 _FORMULAS: dict[str, type[Formula]] = {
     "motion": Motion,
