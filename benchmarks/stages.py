@@ -62,14 +62,14 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
         ordered_sum=sim.deterministic or not gpu,
         uses_queues=gpu,
         write_outputs=False,
+        semi_implicit_euler=sim.integrator.is_fusible,
     )
     buffers = StepBuffers(model, sim.integrator, sim.dt)
     buffers.allocate(envs)
     own, other = model.arrays.state, buffers.other_state
-    ends = sim.integrator.can_accept(plan)
     launch_sequences = [
-        sim.integrator.step_stages(plan, sim.times.full, *states, None, accepts=ends)
-        + accept_stages(plan, sim.times.full, *states, accepted=ends)
+        sim.integrator.step_stages(plan, sim.times.full, *states, None)
+        + accept_stages(plan, sim.times.full, *states)
         for states in ((own, other), (other, own))
     ]
     names: list[str] = []

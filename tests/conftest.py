@@ -180,7 +180,7 @@ def copied_run(tmp_path):
 def fused_kernels(request, monkeypatch):
     """Fuses stages in tests of launch shapes, also if kernels are compiled for short compile times."""
     if request.node.get_closest_marker("launch_shapes"):
-        monkeypatch.setattr("warpcontact.forces.execution_plan.FUSE_STAGES", True)
+        monkeypatch.setattr("warpcontact.forces.launch_shape.FUSE_STAGES", True)
 
 
 @pytest.fixture
@@ -189,4 +189,3 @@ def write_step_outputs(monkeypatch):
     monkeypatch.setattr(
         "warpcontact.forces.execution_plan.ExecutionPlan.write_outputs", property(lambda _: True, lambda *_: None)
     )
-    monkeypatch.setattr("warpcontact.forces.execution_plan.ExecutionPlan.fuses_step", False)

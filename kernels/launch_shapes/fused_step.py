@@ -5,7 +5,8 @@ sensors are not written; their evaluation runs contact detection again. Monitore
 
 One thread per environment finds the contacts that cannot be culled. All lanes of the warp then evaluate these
 contacts, one each, for any environment of the warp. Finally each thread sums the forces of its contacts in their
-order, as a single thread would, and integrates its body. Conditions: ``ExecutionPlan.fuses_step``.
+order, as a single thread would, and integrates its body. Conditions:
+``warpcontact/forces/launch_shape.py``.
 """
 
 import functools

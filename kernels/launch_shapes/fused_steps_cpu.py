@@ -3,7 +3,7 @@
 One launch takes n accepted semi-implicit Euler steps of each environment of a slice, one environment after the
 other, and updates the state in place. Environment data and nearby faces stay in the core's cache, and branches are
 predicted better. It calls the device functions of the stages, so results are bitwise identical. Conditions:
-``ExecutionPlan.fuses_steps``.
+``warpcontact/forces/launch_shape.py``.
 """
 
 import functools

@@ -2,7 +2,7 @@
 
 The environment variable ``WARPCONTACT_COMPILE`` chooses the options for a CPU when the package is imported:
 ``release`` (default) for fast steps, or ``quick`` for short compile times. Both give bitwise identical results.
-``quick`` also selects staged kernels, see ``warpcontact.forces.execution_plan``.
+``quick`` also selects staged kernels, see ``warpcontact.forces.launch_shape``.
 """
 
 import os

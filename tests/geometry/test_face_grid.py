@@ -418,7 +418,7 @@ def test_face_grid_query_of_non_finite_state_finds_no_face(monkeypatch):
     """Cached face counts are nonzero for points near the surface, but no faces are stored."""
     build_all_face_grids(monkeypatch)
     use_work_queues(monkeypatch)
-    monkeypatch.setattr("warpcontact.forces.execution_plan.SMALL_LAUNCH", 0)
+    monkeypatch.setattr("warpcontact.forces.launch_shape.SMALL_LAUNCH", 0)
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (20, 20), 0.2, 2.5))
     rng = np.random.default_rng(3)

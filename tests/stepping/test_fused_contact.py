@@ -7,7 +7,6 @@ from gpu_schedule_on_cpu import build_all_face_grids, use_work_queues
 from test_fused_step_gpu import ENVS, HILLS, MATERIAL, SINGLE_BODY_SCENES, STATE, STUCK
 
 import warpcontact as wc
-from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.model.model import ZERO_WITHOUT_CONTACT
 
 pytestmark = [pytest.mark.launch_shapes, pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")]
@@ -50,7 +49,8 @@ def run_model(make, device, precision, *, fused, monitored):
     rng = np.random.default_rng(1)
     velocity = model["body.linear_velocity"]
     model["body.linear_velocity"] = velocity + rng.normal(0, 0.7, (ENVS, *velocity.shape[1:]))
-    sim = wc.Simulation(model, dt=1e-3, deterministic=True)
+    shape = "auto" if fused else "staged"
+    sim = wc.Simulation(model, dt=1e-3, deterministic=True, launch_shape=shape)
     names = [f"{contact.name}.{key}" for contact in scene.contacts for key in ZERO_WITHOUT_CONTACT]
     sensors = []
     for _ in range(6):
@@ -76,10 +76,9 @@ def run_model(make, device, precision, *, fused, monitored):
         ),
     ],
 )
-def test_fused_contact_on_cpu_equals_staged_contact(name, precision, monitored, monkeypatch):
+def test_fused_contact_on_cpu_equals_staged_contact(name, precision, monitored):
     make = {**SINGLE_BODY_SCENES, **MANY}[name]
     states, sensors = run_model(make, "cpu", precision, fused=True, monitored=monitored)
-    monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
     others, also = run_model(make, "cpu", precision, fused=False, monitored=monitored)
     for left, right in zip(states + sensors, others + also, strict=True):
         np.testing.assert_array_equal(left, right)
@@ -94,9 +93,8 @@ def test_fused_contact_on_gpu_equals_staged_contact(name, few, monitored, monkey
     if device == "cpu":
         build_all_face_grids(monkeypatch)
         use_work_queues(monkeypatch)
-    monkeypatch.setattr("warpcontact.forces.execution_plan.SMALL_LAUNCH", few)
+    monkeypatch.setattr("warpcontact.forces.launch_shape.SMALL_LAUNCH", few)
     states, sensors = run_model(MANY[name], device, "float32", fused=True, monitored=monitored)
-    monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
     others, also = run_model(MANY[name], device, "float32", fused=False, monitored=monitored)
     for left, right in zip(states + sensors, others + also, strict=True):
         np.testing.assert_array_equal(left, right)
@@ -109,15 +107,14 @@ def test_culling_of_many_contacts_on_gpu_matches_few_contacts(fused, precision, 
     if device == "cpu":
         build_all_face_grids(monkeypatch)
         use_work_queues(monkeypatch)
-    if not fused:
-        monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
     ends = []
     for few in (131072, 0):
-        monkeypatch.setattr("warpcontact.forces.execution_plan.SMALL_LAUNCH", few)
+        monkeypatch.setattr("warpcontact.forces.launch_shape.SMALL_LAUNCH", few)
         scene = wc.Scene()
         balls()(scene)
         model = scene.build(envs=ENVS, precision=precision, device=device)
-        sim = wc.Simulation(model, dt=1e-3, deterministic=True)
+        shape = "auto" if fused else "staged"
+        sim = wc.Simulation(model, dt=1e-3, deterministic=True, launch_shape=shape)
         kept = []
         for radius in (0.1, 0.12, 0.1, 0.12):
             model["touch.radius"] = radius

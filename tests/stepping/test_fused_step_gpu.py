@@ -7,7 +7,7 @@ from case_marks import slow_except
 from gpu_schedule_on_cpu import build_all_face_grids, use_work_queues
 
 import warpcontact as wc
-from warpcontact.forces import execution_plan
+from warpcontact.forces import execution_plan, launch_shape
 from warpcontact.stepping.integrators import SemiImplicitEuler
 
 pytestmark = pytest.mark.launch_shapes
@@ -153,7 +153,7 @@ def test_fused_step_equals_staged_step(name, precision, device, fused_launches, 
 def test_fused_and_monitored_steps_can_alternate(name, few, device, fused_launches, monkeypatch):
     """Both variants maintain distances and contact history for each other; monitors see no outdated contacts."""
     if not few:
-        monkeypatch.setattr(execution_plan, "SMALL_LAUNCH", 0)
+        monkeypatch.setattr(launch_shape, "SMALL_LAUNCH", 0)
     outcomes = {
         "most": wc.outcomes.Max("touch.normal_force"),
         "least": wc.outcomes.Min("touch.approach_speed"),

@@ -5,7 +5,7 @@ import pytest
 from test_fused_step_gpu import SINGLE_BODY_SCENES, assert_same, built, states
 
 import warpcontact as wc
-from warpcontact.forces.execution_plan import ExecutionPlan
+from warpcontact.forces.launch_shape import AUTO, FUSED_CONTACT
 from warpcontact.stepping import simulation
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.slice_stepper import StepChunk
@@ -44,18 +44,14 @@ def kernels_of(sim):
     ],
 )
 @pytest.mark.parametrize("graphs", [True, False], ids=["graphs", "launches"])
-def test_fused_steps_equal_staged_steps(name, precision, graphs, monkeypatch):
+def test_fused_steps_equal_staged_steps(name, precision, graphs):
     model = built(SINGLE_BODY_SCENES[name], "cpu", precision)
     sim = wc.Simulation(model, dt=1e-3, capture_graphs=graphs)
-    with monkeypatch.context() as patch:
-        patch.setattr(ExecutionPlan, "fuses_steps", False)
-        other = built(SINGLE_BODY_SCENES[name], "cpu", precision)
-        staged = wc.Simulation(other, dt=1e-3)
-        staged.step(1)
-    sim.step(1)
+    other = built(SINGLE_BODY_SCENES[name], "cpu", precision)
+    staged = wc.Simulation(other, dt=1e-3, launch_shape=FUSED_CONTACT)
     touched = False
     # One launch for each count, with and without graph capture.
-    for count in (1, 73, 8, 64, 3, 300, 130):
+    for count in (2, 73, 8, 64, 3, 300, 130):
         sim.step(count)
         staged.step(count)
         assert_same(states(model), states(other))
@@ -71,32 +67,29 @@ def test_fused_steps_equal_staged_steps(name, precision, graphs, monkeypatch):
     assert len(stepper._steps[0].full) == 1
 
 
-def test_failed_environment_in_fused_steps_keeps_its_state_and_others_continue(monkeypatch):
+def test_failed_environment_in_fused_steps_keeps_its_state_and_others_continue():
     found = []
-    for fused in (True, False):
-        with monkeypatch.context() as patch:
-            if not fused:
-                patch.setattr(ExecutionPlan, "fuses_steps", False)
-            model = built(SINGLE_BODY_SCENES["box with external force"], "cpu")
-            sim = wc.Simulation(model, dt=1e-3)
-            sim.step(100)
-            force = model["body.external_force"]
-            # Overflow of float32, immediately and after some steps.
-            force[3], force[5] = 1e38, 1e35
-            model["body.external_force"] = force
-            sim.step(200)
-            health = model.health()
-            found.append([*states(model), model.arrays.time.numpy(), health.frozen, health.times])
+    for shape in (AUTO, FUSED_CONTACT):
+        model = built(SINGLE_BODY_SCENES["box with external force"], "cpu")
+        sim = wc.Simulation(model, dt=1e-3, launch_shape=shape)
+        sim.step(100)
+        force = model["body.external_force"]
+        # Overflow of float32, immediately and after some steps.
+        force[3], force[5] = 1e38, 1e35
+        model["body.external_force"] = force
+        sim.step(200)
+        health = model.health()
+        found.append([*states(model), model.arrays.time.numpy(), health.frozen, health.times])
     assert_same(*found)
     np.testing.assert_array_equal(found[0][-2], [3, 5])
     assert np.isfinite(found[0][0]).all()
 
 
 @pytest.mark.parametrize("every", [1, 5, 70])
-def test_frames_of_fused_steps_have_every_recorded_step(every, monkeypatch):
-    def recorded():
+def test_frames_of_fused_steps_have_every_recorded_step(every):
+    def recorded(shape=AUTO):
         model = built(SINGLE_BODY_SCENES["with history"], "cpu")
-        sim = wc.Simulation(model, dt=1e-3)
+        sim = wc.Simulation(model, dt=1e-3, launch_shape=shape)
         names = ["body.position", "touch.normal_force", "scene.kinetic_energy"]
         recorder = Recorder(model, names, 210 // every + 1, poses=False)
         recorder.start()
@@ -114,8 +107,7 @@ def test_frames_of_fused_steps_have_every_recorded_step(every, monkeypatch):
     chunks = {chunk for chunk, _ in stepper._graphs if chunk.after_evaluation}
     assert (StepChunk(min(every, 2), after_evaluation=True, evaluates=True) in chunks) == (every < 70)
     assert all(names_of(stepper.graph(chunk)).count("fused_steps") == (chunk.steps > 1) for chunk in chunks)
-    monkeypatch.setattr(ExecutionPlan, "fuses_steps", False)
-    assert_same(own, recorded()[1])
+    assert_same(own, recorded(FUSED_CONTACT)[1])
 
 
 @pytest.mark.slow

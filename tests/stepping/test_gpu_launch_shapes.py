@@ -1,14 +1,14 @@
 """Launch shapes of a CUDA device give bitwise the results of one kernel per stage on the same device.
 
 The staged step queries the closest point of every contact and launches one kernel per stage. Each case runs once
-with the staged step and once with the launch shape that ``execution_plan.ExecutionPlan`` selects, and checks the
+with the staged step and once with the launch shape that ``launch_shape.choose_shape`` selects, and checks the
 names of their kernels. ``.ci/gpu`` runs these tests, with ``--device cuda:0 --kernels=release``.
 """
 
 import importlib.util
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,8 @@ from warpcontact.kernels.particles.base import WAS_IN_CONTACT
 import warpcontact as wc
 from warpcontact.benchmark.scenes import DT
 from warpcontact.benchmark.simulation import simulation
-from warpcontact.forces import execution_plan
-from warpcontact.forces.execution_plan import ExecutionPlan
+from warpcontact.forces import execution_plan, launch_shape
+from warpcontact.forces.launch_shape import STAGED, choose_shape
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -71,7 +71,7 @@ def cuda(device):
     """The CUDA device under test."""
     if not device.startswith("cuda"):
         pytest.skip("needs --device cuda:N: these launch shapes are selected on a CUDA device only")
-    if not execution_plan.FUSE_STAGES:
+    if not launch_shape.FUSE_STAGES:
         pytest.fail("needs --kernels=release: with quick kernels all steps are staged")
     return device
 
@@ -210,7 +210,7 @@ class Case:
     Attributes:
         make: Returns the simulation for a device and options of ``Simulation``.
         kernels: Kernels of the step among ``GPU_KERNELS``.
-        few: Value of ``execution_plan.SMALL_LAUNCH``; with 0 every number of contacts counts as many. Default: the
+        few: Value of ``launch_shape.SMALL_LAUNCH``; with 0 every number of contacts counts as many. Default: the
             constant.
         warps: Value of ``execution_plan.FULL_WARPS``. Default: the constant.
         queues: Number of launches that process a work queue.
@@ -220,7 +220,7 @@ class Case:
 
     make: Callable[..., wc.Simulation]
     kernels: frozenset[str]
-    few: int = execution_plan.SMALL_LAUNCH
+    few: int = launch_shape.SMALL_LAUNCH
     warps: int = execution_plan.FULL_WARPS
     queues: int = 0
     accepts: bool = False
@@ -281,6 +281,11 @@ def step_kernels(sim):
     return [launch.kernel.key.split("__")[-1] for launch in step_launches(sim)]
 
 
+def separate_sums(plan):
+    """Returns the launch shape of a plan, with separate kernels for sums of wrenches and acceptance."""
+    return replace(choose_shape(plan), integrator_sums=False, integrator_accepts=False)
+
+
 def start(case, device, monkeypatch, *, staged, **options):
     """Returns a simulation after its first step, which prepares the launches.
 
@@ -293,12 +298,13 @@ def start(case, device, monkeypatch, *, staged, **options):
     """
     with monkeypatch.context() as patch:
         if staged:
-            for name in ("fuses_step", "fuses_contact", "accepts_in_integrator", "sums_by_body"):
-                patch.setattr(ExecutionPlan, name, False)
+            patch.setattr(launch_shape, "choose_shape", separate_sums)
             patch.setattr(ParticleContactSet, "sums_by_body", False)
-            options |= {"distance_cache": False, "deterministic": True, "capture_graphs": False}
+            options |= {
+                "distance_cache": False, "deterministic": True, "capture_graphs": False, "launch_shape": STAGED,
+            }  # fmt: skip
         else:
-            patch.setattr(execution_plan, "SMALL_LAUNCH", case.few)
+            patch.setattr(launch_shape, "SMALL_LAUNCH", case.few)
             patch.setattr(execution_plan, "FULL_WARPS", case.warps)
         sim = case.make(device, **options)
         # The warnings of the first step would compile kernels for another block size.

@@ -10,7 +10,7 @@ from test_particle_force_sums import particle_scene
 from test_step_schedules import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
-from warpcontact.forces import execution_plan
+from warpcontact.forces import launch_shape
 from warpcontact.forces.execution_plan import ExecutionPlan, force_stages
 from warpcontact.model.model import ZERO_WITHOUT_CONTACT
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice
@@ -291,10 +291,10 @@ def test_recorders_with_equal_needs_share_one_capture(device):
         for chunk, detections in ((frame, 9), (eight, 8)):
             kernels = [launch.kernel.key for launch in stepper.graph(chunk)]
             kernel_name, launches = (
-                ("update_sets", len(sim.model.groups)) if execution_plan.FUSE_STAGES else ("closest_point", 1)
+                ("update_sets", len(sim.model.groups)) if launch_shape.FUSE_STAGES else ("closest_point", 1)
             )
             # With staged kernels, the evaluation of the frame uses the same kernel as a step.
-            evaluations = 0 if execution_plan.FUSE_STAGES else int(chunk.evaluates)
+            evaluations = 0 if launch_shape.FUSE_STAGES else int(chunk.evaluates)
             assert sum(kernel_name in name for name in kernels) == detections * launches + evaluations
 
 

@@ -12,7 +12,7 @@ import warp as wp
 from gpu_schedule_on_cpu import build_all_face_grids, use_work_queues
 
 import warpcontact as wc
-from warpcontact.forces import execution_plan
+from warpcontact.forces import launch_shape
 from warpcontact.stepping import requirements, worker_pool
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -165,7 +165,7 @@ def test_distance_cache_does_not_change_results(name, few, precision, device, mo
     if not few:
         if device == "cpu":
             pytest.skip("a CPU does the same for few and many")
-        monkeypatch.setattr(execution_plan, "SMALL_LAUNCH", 0)
+        monkeypatch.setattr(launch_shape, "SMALL_LAUNCH", 0)
     with_cache, pushed = run(name, precision, device)
     uncached, _ = run(name, precision, device, distance_cache=False, capture_graphs=False, threads=1)
     assert pushed.sum() >= 3
@@ -372,7 +372,7 @@ def test_work_queues_do_not_change_results(name, few, use_face_grids, precision,
     if use_face_grids:
         build_all_face_grids(monkeypatch)
     if not few:
-        monkeypatch.setattr(execution_plan, "SMALL_LAUNCH", 0)
+        monkeypatch.setattr(launch_shape, "SMALL_LAUNCH", 0)
     assert_same(run(name, precision, "cpu")[0], usual)
 
 

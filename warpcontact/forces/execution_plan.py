@@ -1,24 +1,27 @@
 """Builds the step as a list of prepared Warp launches.
 
-``ExecutionPlan`` selects how a range of environments is computed: stage by stage, with narrow phase and contact
-force fused, or with the whole step fused. The functions ``*_stages`` return the launches of one stage:
+``ExecutionPlan`` describes the environments and the options of a step. ``launch_shape`` chooses from it how stages are
+composed into kernels. The functions ``*_stages`` return the launches of one stage:
 
     motion bounds → broad and narrow phase → forces at ends → contact forces → sums of wrenches → forces added to them
     → integration → swept test → monitors → accept → history
 
 Force elements (``force_element.py``) provide the launches of detection, forces and history.
 
-Integrators (``integrators/``) build the stages from forces to the swept test. On one device all variants give
+Integrators (``integrators/``) build the stages from forces to the swept test. On one device all launch shapes give
 bitwise identical results.
 """
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.forces import launch_shape
 from warpcontact.forces.force_element import ForceTarget
+from warpcontact.forces.launch_shape import AUTO, WARP_PER_ENVIRONMENT, LaunchShape
 from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.broadphase import (
     contact_detection,
@@ -31,7 +34,6 @@ from warpcontact.kernels.contact import history, wrenches
 from warpcontact.kernels.integrators import semi_implicit
 from warpcontact.kernels.launch_shapes import fused_contact, fused_contact_grid, fused_step, fused_steps_cpu
 from warpcontact.kernels.lowlevel import warps
-from warpcontact.kernels.lowlevel.unique_kernel import QUICK
 from warpcontact.kernels.narrowphase.closest_point import (
     DETECT_BVH,
     DETECT_CACHED,
@@ -50,15 +52,9 @@ if TYPE_CHECKING:
     from warpcontact.model.model import DeviceModel
 
 
-# Whether stages are fused into one kernel if results stay bitwise identical. Separate kernels compile faster.
-FUSE_STAGES = not QUICK
 # Maximum number of GPU threads that process a work queue of any length; multiples of a warp.
 DETECTION_THREADS = 262144
 SEARCH_THREADS = 65536
-# Maximum number of contacts, or threads, of a launch that counts as small.
-SMALL_LAUNCH = 131072
-# Maximum number of clusters per body whose wrenches the integrator sums on a GPU.
-MAX_SUMMED_CLUSTERS = 16
 # Threads per block. Small blocks give kernels with many registers a higher occupancy.
 SMALL_BLOCK, GRID_BLOCK, LARGE_BLOCK = 64, 128, 256
 # Number of warps that fill all multiprocessors of a GPU; measured on an H200.
@@ -80,6 +76,8 @@ class ExecutionPlan:
         nonsmooth: The nonsmooth contacts, which have impulses instead of forces. ``None``: all contacts are compliant.
         evaluated_state: State whose contacts were detected before and have not changed since. ``None``: no such state.
         write_outputs: Whether kernels write contact outputs (forces, slip) that sensors read.
+        semi_implicit_euler: Whether the integrator is ``SemiImplicitEuler`` itself, whose steps kernels can fuse.
+        fastest_shape: Fastest launch shape to choose, a name in ``launch_shape.SHAPES``. ``AUTO``: any.
         slice: Device array [3] that launches read when they run: first environment, number of environments, and
             number of steps of a multi-step launch. ``None``: all environments.
     """
@@ -92,6 +90,8 @@ class ExecutionPlan:
     nonsmooth: "NonsmoothContacts | None" = None
     evaluated_state: Any = None
     write_outputs: bool = True
+    semi_implicit_euler: bool = False
+    fastest_shape: str = AUTO
     slice: wp.array | None = None
 
     @property
@@ -104,81 +104,10 @@ class ExecutionPlan:
         """Whether force elements have forces at their ends, and whether there are external forces."""
         return self.model.has_ends, self.model.has_external_forces
 
-    @property
-    def is_small(self) -> bool:
-        """Whether the number of contacts is so small that launch overhead outweighs thread divergence."""
-        return self.count * self.model.contact_count <= SMALL_LAUNCH
-
-    @property
-    def sums_by_body(self) -> bool:
-        """Whether the integrator can sum the cluster and particle wrenches of a body itself."""
-        model = self.model
-        few_clusters = model.device.is_cpu or model.clusters.max_per_body <= MAX_SUMMED_CLUSTERS
-        adding = model.elements_added_to_bodies
-        return few_clusters and (not adding or (len(adding) == 1 and adding[0].sums_by_body))
-
-    @property
-    def fuses_contact(self) -> bool:
-        """Whether narrow phase and contact force run in one fused kernel, without writing contact sensors.
-
-        On a CPU this requires meshes without face grids; with work queues, face grids and clusters of one contact.
-        """
-        model = self.model
-        read = any(element.reads_contacts for element in model.force_elements)
-        needs_outputs = self.write_outputs or model.has_latched_contacts or read
-        uses_face_grid, single_contacts = (
-            model.arrays.uses_face_grid,
-            model.clusters.width == 1 and len(model.groups) == 1,
-        )
-        supported = (
-            uses_face_grid and single_contacts if self.uses_queues else model.device.is_cpu and not uses_face_grid
-        )
-        return FUSE_STAGES and supported and self.uses_cache and self.nonsmooth is None and not needs_outputs
-
-    @property
-    def accepts_in_integrator(self) -> bool:
-        """Whether the integrator can also accept the step: environments with one free body and few contacts."""
-        model = self.model
-        # With many environments on a GPU, two launches with fewer registers each are faster.
-        few_clusters = model.device.is_cpu or (model.clusters.count == 1 and self.is_small)
-        return (
-            FUSE_STAGES and few_clusters and self._single_body and model.clusters.count > 0 and self.sums_by_body
-        )
-
-    @property
-    def _single_body(self) -> bool:
-        """Whether environments have one free body and no latched contacts."""
-        model = self.model
-        return model.body_count == 1 and not (model.has_joints or model.has_latched_contacts)
-
-    @property
-    def fuses_step(self) -> bool:
-        """Whether one launch takes a whole step: single-body environments with one contact set and face grids."""
-        model, clusters = self.model, self.model.clusters
-        detects = self.uses_queues and self.uses_cache and model.arrays.uses_face_grid and clusters.set_count == 1
-        return (
-            FUSE_STAGES
-            and detects
-            and self._single_body
-            and not self._has_other_forces
-            and clusters.count <= MAX_SUMMED_CLUSTERS
-        )
-
-    @property
-    def fuses_steps(self) -> bool:
-        """Whether a multi-step launch is possible: on a CPU, single-body environments with one contact group."""
-        per_body = not self.uses_queues and self.fuses_contact and self.accepts_in_integrator
-        return (
-            per_body
-            and len(self.model.groups) == 1
-            and not self._has_other_forces
-            and self.evaluated_state is None
-        )
-
-    @property
-    def _has_other_forces(self) -> bool:
-        """Whether bodies have force elements that fused kernels do not compute."""
-        return not all(element.fused for element in self.model.force_elements)
+    @cached_property
+    def shape(self) -> LaunchShape:
+        """How the stages of a step are composed into kernels."""
+        return launch_shape.choose_shape(self)
 
     def prepare(
         self,
@@ -206,7 +135,7 @@ class ExecutionPlan:
         work.threads = (threads or self.count * items) if device.is_cuda else 1
         if self.slice is not None:
             work.slice = self.slice
-        block_dim = block_dim or (SMALL_BLOCK if work.threads <= SMALL_LAUNCH else LARGE_BLOCK)
+        block_dim = block_dim or (SMALL_BLOCK if work.threads <= launch_shape.SMALL_LAUNCH else LARGE_BLOCK)
         inputs = [work, *inputs]
         disable_fma(kernel, device)
         return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=block_dim)]
@@ -278,9 +207,9 @@ def fused_contact_stages(
             kernel, group.set_count, [status, *state_inputs, group.first_set, group.first, *contact_outputs]
         )
     inputs = [*state_inputs, *contact_outputs, ordered_sum, a.wrenches]
-    kernel = fused_contact_grid.kernel(*codes, plan.is_small)
+    kernel = fused_contact_grid.kernel(*codes, plan.shape.small)
     launches = plan.prepare(kernel, group.cluster_count, [status, *inputs], None, GRID_BLOCK)
-    if plan.is_small:
+    if plan.shape.small:
         return launches
     threads = min(SEARCH_THREADS, _whole_warps(plan.count * group.cluster_count))
     return launches + plan.prepare(
@@ -295,18 +224,14 @@ def detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[
     """
     model = plan.model
     a, real = model.arrays, model.types.real
-    if (
-        plan.uses_cache
-        and a.uses_face_grid
-        and (plan.is_small or model.clusters.width == 1 or not plan.uses_queues)
-    ):
+    if plan.shape.detection == "grid":
         return _grid_detection_stages(plan, state, status)
     launches = []
     if plan.uses_cache:
         launches += plan.prepare(
             motion_bound.kernel(real), model.clusters.set_count, [status, a.model, state, a.cache]
         )
-    if plan.uses_cache and plan.uses_queues:
+    if plan.shape.detection == "queues":
         return launches + _queued_detection_stages(plan, state, status)
     inputs = [status, a.model, state, a.history, plan.uses_cache, a.cache, a.contacts, a.active_contacts]
     return launches + plan.prepare(
@@ -321,7 +246,7 @@ def _grid_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) ->
     inputs = [a.model, state, a.history, a.cache, a.contacts, a.active_contacts]
     # On a CPU one thread processes a whole cluster.
     width = model.clusters.width if model.device.is_cuda else 0
-    single_launch = plan.is_small or not plan.uses_queues
+    single_launch = plan.shape.small or not plan.uses_queues
     kernel = contact_detection_grid.kernel(real, latched, width, single_launch)
     threads, block_dim = _whole_warps(plan.count * clusters * width), warps.LANES if single_launch else GRID_BLOCK
     launches = plan.prepare(kernel, clusters, [status, *inputs], threads, block_dim)
@@ -352,7 +277,7 @@ def _queued_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) 
         [DETECT_GRID, DETECT_QUERY]
         if a.uses_face_grid
         else [DETECT_FACE_CACHE, DETECT_BVH]
-        if plan.is_small
+        if plan.shape.small
         else [DETECT_CACHED, DETECT_CANDIDATES, DETECT_BVH]
     )
     for part, next_part in zip(parts, [*parts[1:], parts[-1]], strict=True):
@@ -369,20 +294,15 @@ def _whole_warps(threads: int) -> int:
     return -(-threads // warps.LANES) * warps.LANES
 
 
-def accept_stages(
-    plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any, *, accepted: bool = False
-) -> list[wp.Launch]:
-    """Returns the launches that accept a proposed step in all active environments.
-
-    ``accepted``: whether clocks and contact history were already advanced by the integrator.
-    """
-    if accepted and plan.fuses_step:
-        # The fused step also advances history variables, see ``Integrator.step_stages``.
+def accept_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
+    """Returns the launches that accept a proposed step in all active environments, after the integration stages."""
+    if plan.shape.name == WARP_PER_ENVIRONMENT:
+        # The fused step also advances history variables.
         return []
     model = plan.model
     a, real = model.arrays, model.types.real
     launches = []
-    if not accepted:
+    if not plan.shape.integrator_accepts:
         single_launch = model.clusters.count > 0 and not model.has_latched_contacts
         states = [model.body_count, state_in, state_out]
         inputs = [a.status, dt.clock, a.time, *states]
@@ -398,7 +318,7 @@ def accept_stages(
 
 
 def fused_step_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
-    """Returns the launch that takes an accepted semi-implicit Euler step; requires ``plan.fuses_step``."""
+    """Returns the launch that takes an accepted semi-implicit Euler step of a warp per environment."""
     model, clusters = plan.model, plan.model.clusters
     a, real, (group,) = model.arrays, model.types.real, model.groups
     lanes = warps.LANES if model.device.is_cuda else 1
@@ -428,12 +348,12 @@ def fused_step_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_
         a.coupling_wrenches,
         state_out,
     ]
-    block_dim = SMALL_BLOCK if plan.is_small else LARGE_BLOCK
+    block_dim = SMALL_BLOCK if plan.shape.small else LARGE_BLOCK
     return plan.prepare(kernel, 1, inputs, -(-plan.count // envs_per_warp) * lanes, block_dim)
 
 
 def multi_step_stages(plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
-    """Returns the multi-step launch of semi-implicit Euler steps of a slice; requires ``plan.fuses_steps``."""
+    """Returns the multi-step launch of semi-implicit Euler steps of a loop per environment."""
     model, clusters = plan.model, plan.model.clusters
     a, (group,) = model.arrays, model.groups
     kernel = fused_steps_cpu.kernel(group.parts, model.types.real, group.projected, model.has_external_forces)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import warp as wp
 
 from warpcontact.forces.execution_plan import ExecutionPlan
+from warpcontact.forces.launch_shape import AUTO
 from warpcontact.kernels.outcomes import recording
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, evaluation_plan, evaluation_stages
 from warpcontact.stepping.integrators import Integrator, SemiImplicitEuler
@@ -89,6 +90,7 @@ def stepping_memory(
     threads: int | None = None,
     distance_cache: bool = True,
     capture_graphs: bool = True,
+    launch_shape: str = AUTO,
     outcomes: "Mapping[str, Outcome] | None" = None,
     stop: Mapping[str, StopCondition] | None = None,
     events: ContactEvents | None = None,
@@ -120,6 +122,7 @@ def stepping_memory(
             ordered_sum=not queued,
             uses_queues=queued,
             nonsmooth=buffers.nonsmooth,
+            fastest_shape=launch_shape,
         )
         stepper = Stepper(plan, integrator, buffers, substeps=crossing_substeps, captured=capture_graphs)
         size = LAUNCH_BYTES * sum(len(launches) for launches in stepper.launches())

@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warpcontact.forces.execution_plan import ExecutionPlan
+from warpcontact.forces.launch_shape import AUTO, SHAPES
 from warpcontact.forces.mesh_contact.step_warnings import caller_stacklevel, contacts_to_evaluate, scene_warnings
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import explain_renamed
@@ -22,6 +23,7 @@ from warpcontact.model.scene_traits import CONTACT_NEEDS
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.chunk_sizer import ChunkSizer, progress_bar
+from warpcontact.stepping.explanation import PartExplanation, StepExplanation
 from warpcontact.stepping.frame_recording import record_first_frame, record_frames
 from warpcontact.stepping.integrators import Integrator, SemiImplicitEuler
 from warpcontact.stepping.outcomes.watch import ContactEvents, MonitorSettings, StopCondition
@@ -72,6 +74,9 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             always are.
         distance_cache: Skip contacts that cannot touch, using cached distances. Does not change results.
         capture_graphs: Capture steps as graphs and replay them. Does not change results.
+        launch_shape: How stages are composed into kernels: ``"warp per environment"``, ``"loop per environment"``,
+            ``"fused contact"`` or ``"staged"``. Default: ``"auto"``, the fastest one that is possible, see
+            ``explain()``. Does not change results.
         outcomes: Outcomes to compute while stepping, by name; see ``outcomes()``.
         stop: Stop conditions, by name. If several hold, the first one is reported.
         events: Contacts whose start and end times are recorded; see ``events()``.
@@ -96,6 +101,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         deterministic: bool = False,
         distance_cache: bool = True,
         capture_graphs: bool = True,
+        launch_shape: str = AUTO,
         outcomes: Mapping[str, Outcome] | None = None,
         stop: Mapping[str, StopCondition] | None = None,
         events: ContactEvents | None = None,
@@ -122,6 +128,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         self.deterministic = bool(deterministic)
         self.distance_cache = bool(distance_cache)
         self.capture_graphs = bool(capture_graphs)
+        self.launch_shape = checks.choice("launch_shape", launch_shape, (AUTO, *SHAPES))
         self.monitor_settings = MonitorSettings.of(outcomes, stop, events, quarantine)
         # Whether the warnings of the first step were already issued.
         self.warned_at_start = False
@@ -142,6 +149,29 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
                 buffers.monitor.initialize(part)
         self._attach_to_model()
         self._prepared: tuple[tuple[int, ...], WorkerPool | None] = ((), None)
+        if self.launch_shape != AUTO:
+            self._require_shape(self.launch_shape)
+
+    def _require_shape(self, name: str) -> None:
+        """Raises ``ValueError`` if the launch shape ``name`` is not possible."""
+        for part in self.explain().parts:
+            if part.shape.name != name:
+                raise ValueError(f'launch_shape must not be "{name}": {part.shape.rejected[name]}')
+
+    @shared_capture_lock()
+    def explain(self) -> StepExplanation:
+        """Returns how steps are launched: launch shape, kernels, and why faster launch shapes are not possible.
+
+        Print the result. It does not depend on the state of the model, and nothing is compiled.
+        """
+        parts = []
+        for share, buffers in zip(self._cut_shares(), self._buffers, strict=True):
+            part, slices, threads = share
+            stepper = self._stepper(part, buffers, KernelLister)
+            kernels = tuple(kernel.key.split("__")[-1] for kernel in stepper.step_launches)
+            on_cpu = threads if part.device.is_cpu else 0
+            parts.append(PartExplanation(str(part.device), part.envs, len(slices), on_cpu, stepper.shape, kernels))
+        return StepExplanation(tuple(parts))
 
     @property
     def times(self) -> StepLengths:
@@ -229,6 +259,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             threads=self.threads,
             distance_cache=self.distance_cache,
             capture_graphs=self.capture_graphs,
+            launch_shape=self.launch_shape,
             outcomes=self.monitor_settings.outcomes,
             stop=self.monitor_settings.stops,
             events=self.monitor_settings.events,
@@ -394,18 +425,22 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         """Whether ``check`` evaluates contacts at the current state."""
         return contacts_to_evaluate(self.model, self._buffers[0].nonsmooth) is not None
 
-    @shared_capture_lock()
-    def _device_shares(self) -> list[DeviceShare]:
+    def _cut_shares(self) -> list[tuple[DeviceModel, list[slice], int]]:
+        """Returns each part of the model with its slices and the number of threads that step them."""
         parts = [(part, part.envs) for part in self.model.parts]
         sizes = slice_sizes(parts, self.threads)
         slices = [cut_slices(envs, size) for (_, envs), size in zip(parts, sizes, strict=True)]
         on_cpu = sum(len(own) for (part, _), own in zip(parts, slices, strict=True) if part.device.is_cpu)
-        thread_count = min(self.threads, on_cpu)
+        threads = min(self.threads, on_cpu)
         return [
-            DeviceShare(
-                own, [self._stepper(part, buffers) for _ in range(thread_count if part.device.is_cpu else 1)]
-            )
-            for (part, _), own, buffers in zip(parts, slices, self._buffers, strict=True)
+            (part, own, threads if part.device.is_cpu else 1) for (part, _), own in zip(parts, slices, strict=True)
+        ]
+
+    @shared_capture_lock()
+    def _device_shares(self) -> list[DeviceShare]:
+        return [
+            DeviceShare(slices, [self._stepper(part, buffers) for _ in range(threads)])
+            for (part, slices, threads), buffers in zip(self._cut_shares(), self._buffers, strict=True)
         ]
 
     def _stepper(
@@ -416,7 +451,14 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         ordered = self.deterministic or not uses_gpu
         own = None if uses_gpu else wp.array([0, model.envs, 0], dtype=wp.int32, device=model.device)
         plan = (kind or ExecutionPlan)(
-            model, model.envs, self.distance_cache, ordered, uses_gpu, buffers.nonsmooth, slice=own
+            model,
+            model.envs,
+            self.distance_cache,
+            ordered,
+            uses_gpu,
+            buffers.nonsmooth,
+            fastest_shape=self.launch_shape,
+            slice=own,
         )
         return Stepper(
             plan, self.integrator, buffers, substeps=self.crossing_substeps, captured=self.capture_graphs

@@ -19,6 +19,7 @@ from warpcontact.forces.execution_plan import (
     copy_state_stage,
     mask_substeps_stage,
 )
+from warpcontact.forces.launch_shape import LOOP_PER_ENVIRONMENT
 from warpcontact.kernels.lowlevel.unique_kernel import QUICK
 from warpcontact.model.sensor_evaluation import provides_contacts
 from warpcontact.stepping.frame_copies import FrameCopies, FrameRecording
@@ -222,6 +223,7 @@ class Stepper:
     Attributes:
         slice: The selected environments; at first all.
         device: Device of the environments.
+        shape: Launch shape of the steps.
         captured: Whether steps are replayed from graphs. On a GPU the host then does not wait for steps.
         multi_step: Whether one multi-step launch takes any number of steps.
         graph_steps: Steps per graph, largest first; used if ``multi_step`` is false.
@@ -232,7 +234,9 @@ class Stepper:
     ) -> None:
         model = plan.model
         self._monitor = buffers.monitor
-        self._span = plan = replace(plan, write_outputs=self._monitor is not None)
+        self._span = plan = replace(
+            plan, write_outputs=self._monitor is not None, semi_implicit_euler=integrator.is_fusible
+        )
         self.slice = slice(0, plan.count)
         self._slice_values = None if plan.slice is None else plan.slice.numpy()
         self.device = model.device
@@ -245,11 +249,10 @@ class Stepper:
             self._host_crossing_flag = wp.zeros(1, dtype=wp.int32, device="cpu", pinned=True)
         self._integrator, self._times = integrator, buffers.times
         self._states = own, other = model.arrays.state, buffers.other_state
-        # Only steps without monitor and substeps can update the state in place.
-        unmonitored = self._monitor is None and not has_substeps
-        one = integrator.multi_step_stages(plan, self._times.full, own) if unmonitored else []
-        self.multi_step = bool(one)
+        self.shape = plan.shape
+        self.multi_step = self.shape.name == LOOP_PER_ENVIRONMENT
         if self.multi_step:
+            one = integrator.multi_step_stages(plan, self._times.full, own)
             self._steps = [_StepLaunches(one, [], [], [], [])] * 2
         else:
             self._steps = [self._prepare(*chunk) for chunk in ((own, other), (other, own))]
@@ -299,11 +302,15 @@ class Stepper:
         self, plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
     ) -> list[wp.Launch]:
         """Returns the launches of a step, including monitors and acceptance."""
-        accepts = self._monitor is None and self._integrator.can_accept(plan)
-        launches = self._integrator.step_stages(plan, dt, state_in, state_out, mark, accepts=accepts)
+        launches = self._integrator.step_stages(plan, dt, state_in, state_out, mark)
         if self._monitor is not None:
             launches += self._monitor.stages(plan, dt, state_in)
-        return launches + accept_stages(plan, dt, state_in, state_out, accepted=accepts)
+        return launches + accept_stages(plan, dt, state_in, state_out)
+
+    @property
+    def step_launches(self) -> list[wp.Launch]:
+        """The launches of a step from the model's state."""
+        return self._steps[0].full
 
     def launches(self) -> list[list[wp.Launch]]:
         """Returns all prepared launches, as lists."""

@@ -75,7 +75,7 @@ class MeshContact(ForceElement):
 
     def detection_launches(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launches of broad and narrow phase; none if a fused kernel includes them."""
-        if state is plan.evaluated_state or plan.fuses_contact:
+        if state is plan.evaluated_state or plan.shape.fuses_contact:
             return []
         return detection_stages(plan, state, status)
 
@@ -85,7 +85,7 @@ class MeshContact(ForceElement):
         """Returns the launches of the contact forces, one per contact group; nonsmooth contacts have no force."""
         a = plan.model.arrays
         ordered_sum = plan.ordered_sum or by_cluster
-        fuses_contact = plan.fuses_contact and state is not plan.evaluated_state
+        fuses_contact = plan.shape.fuses_contact and state is not plan.evaluated_state
         launches = []
         for group in self._table.groups:
             if fuses_contact:

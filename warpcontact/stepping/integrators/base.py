@@ -42,8 +42,9 @@ class Integrator(ABC):
         """Declares the arrays of the integrator and returns the nonsmooth contacts; ``None`` if there are none."""
         return None
 
-    def can_accept(self, plan: ExecutionPlan) -> bool:
-        """Returns whether ``step_stages`` can also accept the step, if no monitor must evaluate it before."""
+    @property
+    def is_fusible(self) -> bool:
+        """Whether kernels exist that fuse the integration with other stages, see ``launch_shape``."""
         return False
 
     @abstractmethod
@@ -54,8 +55,6 @@ class Integrator(ABC):
         state_in: Any,
         state_out: Any,
         mark: wp.array | None,
-        *,
-        accepts: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches that propose a step from ``state_in`` to ``state_out``.
 
@@ -66,16 +65,14 @@ class Integrator(ABC):
             state_out: Receives the proposed state.
             mark: Flag [1] that is set to 1 if a swept point crosses a surface; the status of the environment is
                 changed, too. ``None``: crossings do not reject the step.
-            accepts: Whether the launches also accept the step: they advance clocks and contact history, and with
-                ``plan.fuses_step`` also history variables of laws and friction models.
         """
 
     def multi_step_stages(self, plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
-        """Returns a multi-step launch that updates ``state`` in place; ``plan.slice`` has the number of steps.
+        """Returns the launch of a loop per environment, which updates ``state`` in place.
 
-        It does not support monitors. An empty list if these environments cannot be stepped in this form.
+        ``plan.slice`` has the number of steps. Called only if the integrator is fusible.
         """
-        return []
+        raise NotImplementedError(f"{type(self).__name__} has no multi-step launch")
 
     def change_stages(self, plan: ExecutionPlan, change: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that adapt ``state`` to a step length that changes by ``change`` [env, 0] [s].

@@ -161,8 +161,6 @@ class MoreauJean(Integrator):
         state_in: Any,
         state_out: Any,
         mark: wp.array | None,
-        *,
-        accepts: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches: half step, contacts and forces there, contact problem, full step."""
         model, nonsmooth = plan.model, plan.nonsmooth

@@ -13,6 +13,7 @@ from warpcontact.forces.execution_plan import (
     fused_step_stages,
     multi_step_stages,
 )
+from warpcontact.forces.launch_shape import WARP_PER_ENVIRONMENT
 from warpcontact.forces.particle_contact.contact_set import particle_arrays
 from warpcontact.kernels.broadphase import swept
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
@@ -47,9 +48,10 @@ class SemiImplicitEuler(Integrator):
                         "MoreauJean"
                     )
 
-    def can_accept(self, plan: ExecutionPlan) -> bool:
-        """Returns whether the fused step or the integration kernel can accept the step."""
-        return plan.fuses_step or plan.accepts_in_integrator
+    @property
+    def is_fusible(self) -> bool:
+        """Whether the stages are those of this class, which kernels fuse, and not those of a subclass."""
+        return type(self).step_stages is SemiImplicitEuler.step_stages
 
     def step_stages(
         self,
@@ -58,21 +60,19 @@ class SemiImplicitEuler(Integrator):
         state_in: Any,
         state_out: Any,
         mark: wp.array | None,
-        *,
-        accepts: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches of forces, free bodies, bodies with joints or prescribed motion, and the swept test."""
-        if accepts and plan.fuses_step:
+        if plan.shape.name == WARP_PER_ENVIRONMENT:
             return fused_step_stages(plan, dt, state_in, state_out)
         model = plan.model
         a, real = model.arrays, model.types.real
-        by_cluster = plan.sums_by_body
+        by_cluster = plan.shape.integrator_sums
         launches = force_stages(plan, state_in, dt.real, a.status, by_cluster=by_cluster)
         # The kernel sums the wrenches of particles, see ``sums_by_body``.
         particle_set = next(iter(model.of_family("particle contact") if by_cluster else ()), None)
         sources = plan.other_forces if by_cluster else None
         kernel = semi_implicit.semi_implicit_euler(
-            real, model.has_joints, sources, accepts, particle_set is not None
+            real, model.has_joints, sources, plan.shape.integrator_accepts, particle_set is not None
         )
         inputs = [
             a.status,
@@ -108,9 +108,8 @@ class SemiImplicitEuler(Integrator):
         return launches
 
     def multi_step_stages(self, plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
-        """Returns the multi-step launch if the plan allows it; none for subclasses that override ``step_stages``."""
-        own = type(self).step_stages is SemiImplicitEuler.step_stages
-        return multi_step_stages(plan, dt, state) if own and plan.fuses_steps else []
+        """Returns the launch of a loop per environment."""
+        return multi_step_stages(plan, dt, state)
 
     def change_stages(self, plan: ExecutionPlan, change: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that adapt the velocities, which lag half a step behind the positions."""
