@@ -73,7 +73,7 @@ def seconds(model: wc.Model, places: np.ndarray, moves: int, *, warm: bool) -> t
         for launch in accept:
             launch.launch()
         used.append(lines.results.iterations.numpy().mean())
-    if lines.failures(0).any():
+    if lines.failures()["line"].any():
         raise RuntimeError("a catenary was not solved")
     return taken / (moves * model.envs), float(np.mean(used))
 

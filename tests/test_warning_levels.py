@@ -49,23 +49,20 @@ class Solved:
     """A model of two environments whose contact problems were not solved in some steps."""
 
     first_env, envs = 3, 2
-    scene = SimpleNamespace(shape_contacts=())
+    parts = (SimpleNamespace(force_elements=()),)
 
     def __init__(self, residual):
-        self.failures = np.zeros(2, np.int32)
+        self.unsolved = np.zeros(2, np.int32)
         self.residual = residual
 
     def health(self):
         return SimpleNamespace(frozen=())
 
-    def failed_catenaries(self):
-        return {}
-
-    def unsolved_contacts(self):
+    def failures(self):
         return {}
 
     def unfinished_solves(self):
-        return self.failures
+        return self.unsolved
 
     def largest_residuals(self):
         # The first environment has one without a failure.
@@ -88,7 +85,7 @@ def test_missed_tolerance_is_rated_by_the_largest_residual(residual, level, advi
     model = Solved(residual)
     remarks = RunWarnings(model)
     assert remarks.new() == []
-    model.failures = np.array([0, 5], np.int32)
+    model.unsolved = np.array([0, 5], np.int32)
     (warning,) = remarks.new()
     assert warning.level == level
     assert "in 1 of 2 environments (most often in environment 4: 5 steps). " in str(warning)

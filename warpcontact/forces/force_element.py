@@ -1,7 +1,7 @@
 """Force elements: the interface of everything that acts on bodies.
 
 A ``ForceElement`` holds the device data of elements of one family in a model on one device: arrays, launches and
-sensors. The core iterates over ``model.force_elements`` and knows no family. ``registry.py`` lists the families, in
+sensors. The core iterates over ``model.force_elements`` and has no code for a single family. ``registry.py`` lists the families, in
 the order in which they are declared and launched.
 """
 
@@ -11,20 +11,25 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpcontact.kernels.types import Structs
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import Parameters
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
 if TYPE_CHECKING:
     from warpcontact.forces.contact_table import ContactTable
     from warpcontact.forces.ends import Ends
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
     from warpcontact.forces.sensor import Sensor
     from warpcontact.forces.shape_contact.shape_sets import ShapeSet
     from warpcontact.kernels.shapes.base import Shape
+    from warpcontact.model.environments import Environments
     from warpcontact.model.model import DeviceModel
     from warpcontact.scene.scene_data import SceneData
 
@@ -183,6 +188,9 @@ class ForceElement(ABC):
     def invalidate_caches(self) -> None:  # noqa: B027
         """Invalidates caches after a change of parameters."""
 
+    def restore_caches(self) -> None:  # noqa: B027
+        """Sets arrays that checkpoints omit, and for which zero is no valid value, after a checkpoint was loaded."""
+
     def check(self) -> None:  # noqa: B027
         """Waits for the device and checks that its forces were complete in all steps since reset.
 
@@ -193,6 +201,38 @@ class ForceElement(ABC):
     def sets_initial_state(self, struct: Any, attribute: str) -> bool:
         """Returns whether an array of parameters is part of the initial state of bodies."""
         return False
+
+    # Warnings
+
+    def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
+        """Returns whether ``advice`` reads contacts of the initial state, which must be evaluated before."""
+        return False
+
+    def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+        """Returns the warnings about the initial state and the time step.
+
+        Args:
+            model: The model, on all devices. Its parameters and sensors have the values of all environments.
+            dt: Time step [s].
+            nonsmooth: The nonsmooth contacts, which have impulses instead of forces; ``None``: there are none.
+        """
+        return []
+
+    def failures(self) -> Mapping[str, NDArray[np.int32]]:
+        """Returns the number of steps since reset in which forces could not be computed, (envs,) by element."""
+        return {}
+
+    def failure_warning(self, name: str, count: int, envs: int, first: int) -> RunWarning:
+        """Returns a warning that forces of an element could not be computed in some steps.
+
+        Args:
+            name: Name of the element.
+            count: Number of environments with such steps.
+            envs: Number of environments.
+            first: Number of the first such environment.
+        """
+        text = f"{name}: forces could not be computed in {count} of {envs} environments (first: {first})"
+        return RunWarning(text, WarningLevel.ERROR)
 
     # Sensors
 

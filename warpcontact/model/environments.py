@@ -177,10 +177,7 @@ class Environments(
         if stored_name(name) in self.parts[0].sensors:
             raise KeyError(f"{name!r} is a sensor, not a parameter; use model.sensor({name!r})")
         element, _, quantity = name.rpartition(".")
-        owners = {contact.name: contact.material.formulas for contact in self.scene.contacts}
-        owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
-        owners |= {contact.name: contact.formulas for contact in self.scene.shape_contacts}
-        owners |= {contact.name: contact.formulas for contact in self.scene.particle_contacts}
+        owners = {one.name: one.formulas for one in self.scene.elements() if hasattr(one, "formulas")}
         for owner, formulas in owners.items():
             for part, formula in formulas.items():
                 if element == f"{owner}.{part}" and quantity in formula.varying():
@@ -339,44 +336,30 @@ class Environments(
 
     def _catenaries(self, name: str) -> "list[tuple[DeviceModel, CatenarySet, int]]":
         """Returns each part, the set that contains the catenary, and its index in the set."""
-        from warpcontact.forces.couplings.catenaries import CatenarySet
-
         find_entry("catenary", name, {one.name: one for one in self.scene.couplings if isinstance(one, Catenary)})
         return [
             (part, lines, item)
             for part in self.parts
-            for lines in part.force_elements
-            if isinstance(lines, CatenarySet)
+            for lines in part.of_family("couplings")
             for item, one in enumerate(lines.couplings)
             if one.name == name
         ]
 
-    def failed_catenaries(self) -> dict[str, int]:
-        """Returns the number of environments in which a catenary did not converge since reset, by name, if any."""
-        counts = {}
-        for one in self.scene.couplings:
-            if isinstance(one, Catenary):
-                failures = [lines.failures(item) for _, lines, item in self._catenaries(one.name)]
-                if failed := int(np.count_nonzero(np.concatenate(failures))):
-                    counts[one.name] = failed
-        return counts
+    def failures(self) -> dict[str, NDArray[np.int32]]:
+        """Returns the number of steps since reset in which forces could not be computed, (envs,) by element."""
+        parts = [
+            {name: counts for element in part.force_elements for name, counts in element.failures().items()}
+            for part in self.parts
+        ]
+        return {name: np.concatenate([own[name] for own in parts]) for name in parts[0]}
 
     def unsolved_contacts(self) -> dict[str, NDArray[np.int32]]:
         """Returns the number of steps since reset in which a shape contact did not converge, (envs,) by contact.
 
         For a set, the maximum over its items.
         """
-        return {
-            contact.name: np.concatenate(
-                [
-                    own.failures(contact).max(axis=1)
-                    for part in self.parts
-                    for own in part.of_family("shape contact")
-                    if contact in own.items
-                ]
-            )
-            for contact in self.scene.shape_contacts
-        }
+        counts = self.failures()
+        return {contact.name: counts[contact.name] for contact in self.scene.shape_contacts}
 
     def unfinished_solves(self) -> NDArray[np.int32]:
         """Returns the number of steps since reset in which the nonsmooth contact solver did not converge, (envs,)."""

@@ -255,6 +255,11 @@ class Contact:
         return self.points.body, self.surface.body
 
     @property
+    def formulas(self) -> dict[str, Formula]:
+        """The law and the friction models, by name of the part."""
+        return self.material.formulas
+
+    @property
     def code(self) -> tuple[ContactModel, bool]:
         """Key of the force kernel: contact model, and whether area weights are projected onto the contact normal."""
         return self.material.parts, self.facing == "projected"

@@ -167,9 +167,8 @@ def restore(simulation: "Simulation", arrays: Mapping[str, NDArray[Any]]) -> Non
     for part, elapsed, is_initial in zip(
         simulation.model.parts, arrays["elapsed"], arrays["is_initial"], strict=True
     ):
-        if part.contact_count:
-            # Reset to −1, because 0 is a valid face.
-            part.arrays.contacts.crossed_face.fill_(-1)
+        for element in part.force_elements:
+            element.restore_caches()
         part.elapsed, part.is_initial = float(elapsed), bool(is_initial)
 
 

@@ -19,14 +19,13 @@ class RunWarnings:
     def __init__(self, model: Environments) -> None:
         self.model = model
         self._frozen = len(model.health().frozen)
-        self._failed = model.failed_catenaries()
-        self._unsolved = model.unsolved_contacts()
+        self._failed = model.failures()
         self._unfinished = model.unfinished_solves()
         model.reset_residuals()
 
     def new(self) -> list[RunWarning]:
         """Returns the warnings about solvers; see ``frozen_warnings`` for the others."""
-        return [*self._catenary_warnings(), *self._unsolved_warnings(), *self._solver_warnings()]
+        return [*self._force_warnings(), *self._solver_warnings()]
 
     def frozen_warnings(self) -> list[RunWarning]:
         """Returns a warning if the number of frozen environments has grown."""
@@ -34,30 +33,15 @@ class RunWarnings:
         more = len(health.frozen) > self._frozen
         return [RunWarning(str(health), WarningLevel.ERROR)] if more else []
 
-    def _catenary_warnings(self) -> list[RunWarning]:
-        return [
-            RunWarning(
-                f"catenary {line!r} did not converge in {count} of {self.model.envs} environments. In those steps "
-                f"its forces are those of the last iterate; {line}.failures counts them"
-            )
-            for line, count in self.model.failed_catenaries().items()
-            if count > self._failed.get(line, 0)
-        ]
-
-    def _unsolved_warnings(self) -> list[RunWarning]:
-        """Returns a warning for each shape contact with new failures of the narrow phase."""
-        now = self.model.unsolved_contacts()
-        warned = []
-        for contact in self.model.scene.shape_contacts:
-            failed = (now[contact.name] > self._unsolved[contact.name]).nonzero()[0]
-            if len(failed):
-                text = (
-                    f"{contact.name}: contact of {contact.shape.name!r} and {contact.other_shape.name!r} did not "
-                    f"converge in {len(failed)} of {self.model.envs} environments (first: "
-                    f"{self.model.first_env + failed[0]}). No force was applied in those steps; "
-                    f"{contact.name}.failures counts them"
-                )
-                warned.append(RunWarning(text, WarningLevel.ERROR))
+    def _force_warnings(self) -> list[RunWarning]:
+        """Returns a warning for each element whose forces could not be computed in further steps."""
+        now, envs, warned = self.model.failures(), self.model.envs, []
+        for element in self.model.parts[0].force_elements:
+            for name in element.failures():
+                failed = (now[name] > self._failed[name]).nonzero()[0]
+                if len(failed):
+                    first = self.model.first_env + int(failed[0])
+                    warned.append(element.failure_warning(name, len(failed), envs, first))
         return warned
 
     def _solver_warnings(self) -> list[RunWarning]:

@@ -10,9 +10,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from warpcontact.forces.advice import advice_needs_evaluation, scene_advice
 from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.forces.launch_shape import AUTO, SHAPES
-from warpcontact.forces.mesh_contact.step_warnings import caller_stacklevel, contacts_to_evaluate, scene_warnings
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import explain_renamed
 from warpcontact.kernels.outcomes.base import Outcome
@@ -40,7 +40,7 @@ from warpcontact.system.compilation import load_all
 from warpcontact.system.resources import HOST, available_threads
 from warpcontact.validation import checks
 from warpcontact.validation.uncopyable import Uncopied
-from warpcontact.validation.warning_levels import ContactWarning, WarningLevel
+from warpcontact.validation.warning_levels import ContactWarning, WarningLevel, caller_stacklevel
 
 # xarray takes as long to import as the rest of the package. Stepping without recording does not need it.
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
 
         The first step from the initial state of the model issues them.
         """
-        return scene_warnings(self.model, self.dt, self._buffers[0].nonsmooth)
+        return scene_advice(self.model, self.dt, self._buffers[0].nonsmooth)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes state, history, clocks and parameters into a checkpoint.
@@ -423,7 +423,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
     @property
     def evaluates_start(self) -> bool:
         """Whether ``check`` evaluates contacts at the current state."""
-        return contacts_to_evaluate(self.model, self._buffers[0].nonsmooth) is not None
+        return advice_needs_evaluation(self.model, self._buffers[0].nonsmooth)
 
     def _cut_shares(self) -> list[tuple[DeviceModel, list[slice], int]]:
         """Returns each part of the model with its slices and the number of threads that step them."""

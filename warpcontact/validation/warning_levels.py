@@ -1,6 +1,7 @@
 """Warnings and their levels. Warning filters import this module, so it does not import kernels."""
 
 import enum
+import sys
 
 from warpcontact.validation.safe_text import escape_controls
 
@@ -54,3 +55,11 @@ def split_label(text: str) -> tuple[WarningLevel, str]:
     if colon and level in list(WarningLevel):
         return WarningLevel(level), rest
     return WarningLevel.CAUTION, text
+
+
+def caller_stacklevel() -> int:
+    """Returns the ``stacklevel`` for a warning in the caller that refers to the code outside of this package."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals["__name__"].partition(".")[0] == "warpcontact":
+        level, frame = level + 1, frame.f_back
+    return level

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warpcontact.forces.contact_coupling.step_warnings import contact_coupling_warnings
 from warpcontact.forces.force_element import BuildContext, ForceElement, Need
 from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.couplings import contact_coupling as kernels
@@ -20,6 +21,8 @@ from warpcontact.validation import checks
 if TYPE_CHECKING:
     from warpcontact.forces.contact_groups import ContactGroup
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.environments import Environments
     from warpcontact.model.model import DeviceModel
     from warpcontact.scene.contact_coupling import ContactCoupling
 
@@ -104,6 +107,15 @@ class ContactCouplingSet(ForceElement):
         """Clears the extremes in the environments of the mask ``chosen`` [env]."""
         kernel, shape = kernels.reset(self._types.real), (len(chosen), self.count)
         wp.launch(kernel, dim=shape, inputs=[chosen, self._extremes], device=chosen.device)
+
+    def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
+        """Returns true: the initial distance of surfaces is checked."""
+        return True
+
+    def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+        """Returns the warnings about step length, stopping distance and initial distance."""
+        couplings = model.scene.contact_couplings
+        return [sentence for one in couplings for sentence in contact_coupling_warnings(model, one, dt)]
 
     def needs(self) -> Mapping[str, Need]:
         """Returns the need of the total forces."""

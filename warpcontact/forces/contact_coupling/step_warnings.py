@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.algebra.vectors import norm
-from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, TYPICAL_SPEED, steepest_slopes
+from warpcontact.forces.contact_warnings import TYPICAL_SPEED
+from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, steepest_slopes
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.scene.contact_range import ExpectedImpact

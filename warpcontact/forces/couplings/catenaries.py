@@ -8,6 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.forces.couplings.step_warnings import catenary_warnings
 from warpcontact.kernels.couplings import catenary, line_measures
 from warpcontact.scene import couplings as elements
 from warpcontact.scene import elements as limits_of
@@ -16,9 +17,12 @@ from warpcontact.scene.status import CatenaryStatus
 from warpcontact.storage.allocation_plan import per_env
 from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.capture_lock import shared_capture_lock
+from warpcontact.validation.warning_levels import RunWarning
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.environments import Environments
     from warpcontact.model.model import DeviceModel
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
@@ -99,6 +103,10 @@ class CatenarySet(CouplingSet):
             kernel, self.count, [a.status, self._trial_solution, self._accepted_solution, self._lines]
         )
 
+    def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+        """Returns the warnings about the step length, and ends below the floor."""
+        return [sentence for one in self.couplings for sentence in catenary_warnings(model, one, dt)]
+
     def reset_state(self, chosen: wp.array) -> None:
         """Clears warm starts and failures in the environments of the mask ``chosen`` [env]."""
         kernel, inputs = catenary.reset(self.types.real), [chosen, self._accepted_solution, self._lines]
@@ -125,6 +133,14 @@ class CatenarySet(CouplingSet):
         inputs = [a.model, a.state, self.first, item, self.settings, self._trial_solution]
         wp.launch(kernel, dim=target.shape, inputs=inputs, outputs=[target], device=model.device)
 
-    def failures(self, item: int) -> NDArray[np.int32]:
-        """Returns the number of steps since reset in which a catenary did not converge, (envs,)."""
-        return self._lines.failures.numpy()[:, item]
+    def failures(self) -> dict[str, NDArray[np.int32]]:
+        """Returns the number of steps since reset in which a catenary did not converge, (envs,) by name."""
+        values = self._lines.failures.numpy()
+        return {one.name: values[:, item] for item, one in enumerate(self.couplings)}
+
+    def failure_warning(self, name: str, count: int, envs: int, first: int) -> RunWarning:
+        """Returns a warning that a catenary did not converge in some steps."""
+        return RunWarning(
+            f"catenary {name!r} did not converge in {count} of {envs} environments. In those steps its forces are "
+            f"those of the last iterate; {name}.failures counts them"
+        )

@@ -8,6 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.forces.couplings.step_warnings import spring_warnings
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.couplings import spring
 from warpcontact.kernels.couplings.spring import SpringModel
@@ -24,6 +25,8 @@ from warpcontact.validation.custom_law_errors import explain_compile_errors, has
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.environments import Environments
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
 
@@ -155,6 +158,10 @@ class SpringSet(CouplingSet):
         """Returns the launch that stores which springs broke, and their directions."""
         a, kernel = plan.model.arrays, spring.accept(self.types.real)
         return plan.prepare(kernel, self.count, [a.status, self._springs])
+
+    def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+        """Returns the warnings about the step length."""
+        return [sentence for one in self.couplings for sentence in spring_warnings(model, one, dt)]
 
     def reset_state(self, chosen: wp.array) -> None:
         """Clears the broken flags and directions in the environments of the mask ``chosen`` [env]."""

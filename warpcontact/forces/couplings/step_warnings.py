@@ -21,22 +21,12 @@ MAX_DAMPING = 1.0
 MAX_BURIED_DEPTH = 0.01
 
 
-def coupling_warnings(model: "Environments", dt: float) -> list[str]:
-    """Returns the warnings about the couplings of a model and the time step.
+def spring_warnings(model: "Environments", coupling: SpringDamper, dt: float) -> list[str]:
+    """Returns the warnings about a spring-damper and the time step.
 
-    Periods are estimated from stiffness and damping at the initial length and at rest, and from the effective mass
+    The period is estimated from stiffness and damping at the initial length and at rest, and from the effective mass
     along the line between the points. Formulas without a slope are not checked.
     """
-    sentences = []
-    for coupling in model.scene.couplings:
-        if isinstance(coupling, SpringDamper):
-            sentences += _spring_warnings(model, coupling, dt)
-        elif isinstance(coupling, Catenary):
-            sentences += _catenary_warnings(model, coupling, dt) + _floor_warnings(model, coupling)
-    return sentences
-
-
-def _spring_warnings(model: "Environments", coupling: SpringDamper, dt: float) -> list[str]:
     length, mobility = _along(model, coupling)
     rest = model[f"{coupling.name}.rest_length"]
     sentences = []
@@ -63,7 +53,12 @@ def _spring_warnings(model: "Environments", coupling: SpringDamper, dt: float) -
     return sentences
 
 
-def _catenary_warnings(model: "Environments", line: Catenary, dt: float) -> list[str]:
+def catenary_warnings(model: "Environments", line: Catenary, dt: float) -> list[str]:
+    """Returns the warnings about a catenary: the time step for the taut cable, and ends below the floor."""
+    return _taut_warnings(model, line, dt) + _floor_warnings(model, line)
+
+
+def _taut_warnings(model: "Environments", line: Catenary, dt: float) -> list[str]:
     length, stiffness = (model[f"{line.name}.{key}"] for key in ("length", "axial_stiffness"))
     turning = np.sqrt(stiffness / length * _along(model, line)[1])
     worst = int(np.argmax(turning))

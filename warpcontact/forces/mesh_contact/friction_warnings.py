@@ -24,8 +24,6 @@ KernelFactory = Callable[[type[Formula], type], wp.Kernel]
 
 # Maximum number of environments that are checked, to limit the time of the checks.
 MAX_CHECKED_ENVS = 4096
-# Impact speed that estimates assume for bodies with a lower initial speed [m/s].
-TYPICAL_SPEED = 1.0
 
 
 def friction_warnings(model: "Environments", contact: "Contact", dt: float) -> list[str]:

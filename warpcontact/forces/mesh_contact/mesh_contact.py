@@ -12,6 +12,7 @@ import warp as wp
 from warpcontact.forces.contact_groups import ContactGroup
 from warpcontact.forces.execution_plan import detection_stages, fused_contact_stages
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget, Need
+from warpcontact.forces.mesh_contact.step_warnings import contacts_to_evaluate, mesh_contact_warnings
 from warpcontact.forces.sensor import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.contact import history
@@ -23,6 +24,8 @@ from warpcontact.storage.model_arrays import ModelArrays
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.environments import Environments
 
 # Bytes of a contact in the cache of a core; measured.
 CONTACT_BYTES = 300
@@ -51,7 +54,7 @@ class MeshContact(ForceElement):
         super().__init__()
         self._contacts = contacts
         self._table = context.contacts
-        self._types = context.types
+        self._arrays, self._types = context.arrays, context.types
         self._count = sum(contact.count for contact in contacts)
 
     @property
@@ -121,6 +124,18 @@ class MeshContact(ForceElement):
                     inputs=[chosen, history_in],
                     device=chosen.device,
                 )
+
+    def restore_caches(self) -> None:
+        """Clears the crossed faces; −1 because 0 is a valid face."""
+        self._arrays.contacts.crossed_face.fill_(-1)
+
+    def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
+        """Returns whether any initial penetration must be evaluated."""
+        return bool(contacts_to_evaluate(model, nonsmooth))
+
+    def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+        """Returns the warnings about step length, friction and initial penetration."""
+        return mesh_contact_warnings(model, dt, nonsmooth)
 
     def needs(self) -> Mapping[str, Need]:
         """Returns the need of contact points."""

@@ -20,6 +20,7 @@ from warpcontact.forces.particle_contact.neighbor_capacity import (
     max_neighbors,
     owned_records,
 )
+from warpcontact.forces.particle_contact.step_warnings import particle_contact_warnings
 from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
 from warpcontact.kernels.catalogue.history_variables import memory_struct
@@ -44,6 +45,8 @@ from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.environments import Environments
     from warpcontact.model.model import DeviceModel
 
 # Bytes in the CPU cache per entry of a neighbor list, and per particle with the records of its contacts.
@@ -507,6 +510,14 @@ class ParticleContactSet(ForceElement):
                 "are missing. Increase max_neighbors in add_particle_contact, or reduce skin (now "
                 f"{self.contact.skin:g} m)"
             )
+
+    def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
+        """Returns whether there are contacts with meshes, which sensors of particle contacts evaluate as well."""
+        return model.parts[0].contact_count > 0
+
+    def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+        """Returns the warnings about step length and initial penetration."""
+        return particle_contact_warnings(model, self.contact, dt, nonsmooth)
 
     def needs(self) -> Mapping[str, Need]:
         """Returns the need of the sums over pairs, whose arrays always exist."""

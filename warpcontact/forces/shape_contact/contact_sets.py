@@ -15,6 +15,7 @@ from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTa
 from warpcontact.forces.sensor import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.forces.shape_contact.measures import has_curvatures, measure
 from warpcontact.forces.shape_contact.shape_sets import ShapeSet
+from warpcontact.forces.shape_contact.step_warnings import shape_contact_warnings
 from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
 from warpcontact.kernels.catalogue.history_variables import memory_struct
@@ -39,9 +40,12 @@ from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.compilation import load
 from warpcontact.validation import checks
 from warpcontact.validation.custom_law_errors import compile_error_text, has_user_code
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.environments import Environments
     from warpcontact.model.model import DeviceModel
     from warpcontact.scene.scene_data import SceneData
     from warpcontact.storage.allocation_plan import AllocationPlan
@@ -341,6 +345,18 @@ class ShapeContactSet(ForceElement):
                 ) from error
         compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
 
+    def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
+        """Returns true: initial penetration is checked."""
+        return True
+
+    def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+        """Returns the warnings about step length and initial penetration."""
+        return [
+            sentence
+            for contact in self.items
+            for sentence in shape_contact_warnings(model, contact, dt, nonsmooth)
+        ]
+
     def needs(self) -> Mapping[str, Need]:
         """Returns the needs of points, curvatures and gradients."""
         return {name: Need(self._declare_measure(struct), all_distances=True) for name, struct in _STRUCTS.items()}
@@ -354,10 +370,19 @@ class ShapeContactSet(ForceElement):
             if name in needs:
                 measure(name, self, model)
 
-    def failures(self, contact: ShapeContact) -> NDArray[np.int32]:
-        """Returns the number of steps since reset in which ``contact`` did not converge, (envs, items)."""
-        values: NDArray[np.int32] = self.shape_contacts.failures.numpy()[:, self.items[contact]]
-        return values
+    def failures(self) -> dict[str, NDArray[np.int32]]:
+        """Returns the number of steps since reset in which a contact did not converge; of a set, the maximum."""
+        values = self.shape_contacts.failures.numpy()
+        return {contact.name: values[:, items].max(axis=1) for contact, items in self.items.items()}
+
+    def failure_warning(self, name: str, count: int, envs: int, first: int) -> RunWarning:
+        """Returns a warning that a contact did not converge in some steps."""
+        contact = next(one for one in self.items if one.name == name)
+        text = (
+            f"{name}: contact of {contact.shape.name!r} and {contact.other_shape.name!r} did not converge in {count} of "
+            f"{envs} environments (first: {first}). No force was applied in those steps; {name}.failures counts them"
+        )
+        return RunWarning(text, WarningLevel.ERROR)
 
     def sensors(self) -> Iterator[Sensor]:
         """Yields the sensors of the shape contacts."""

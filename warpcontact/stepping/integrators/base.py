@@ -84,8 +84,4 @@ class Integrator(ABC):
 
 def formulas_of(scene: "SceneData") -> dict[str, dict[str, Any]]:
     """Returns the law and friction models of all contacts of a scene: contact name → part → model."""
-    return {
-        **{contact.name: contact.material.formulas for contact in scene.contacts},
-        **{contact.name: contact.formulas for contact in scene.shape_contacts},
-        **{contact.name: contact.formulas for contact in scene.particle_contacts},
-    }
+    return {one.name: one.formulas for one in scene.elements() if hasattr(one, "material")}
