@@ -9,7 +9,7 @@ import warp as wp
 from warpcontact.forces.force_element import BuildContext, ForceElement, Need
 from warpcontact.forces.joints.joint_data import add_motions
 from warpcontact.forces.sensor import Sensor, shape_in
-from warpcontact.kernels.joints import Motion, driven, step, velocity_projection
+from warpcontact.kernels.joints import Motion, driven, step
 from warpcontact.kernels.joints.measures import Coordinates, Reactions, coordinates, reactions
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TIME_FUNCTION
 from warpcontact.scene.elements import Body
@@ -104,7 +104,7 @@ class JointSet(ForceElement):
     def reset_state(self, chosen: wp.array) -> None:
         """Projects initial velocities onto the joints, and sets bodies with prescribed motion to their start."""
         a, real, envs = self._arrays, self._real, len(chosen)
-        kernel, shape = velocity_projection.kernel(real), (envs, self._body_count)
+        kernel, shape = step.project_velocities(real), (envs, self._body_count)
         wp.launch(kernel, dim=shape, inputs=[chosen, a.model, a.state], device=chosen.device)
         for motion_set in self.prescribed_motions:
             wp.launch(
