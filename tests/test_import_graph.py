@@ -58,7 +58,7 @@ KERNEL_ORDER = [
     "rendering",
 ]
 #: Largest number of modules that may import each other in a circle.
-MAX_KNOT = 6
+MAX_KNOT = 4
 
 
 def modules() -> dict[str, Path]:

@@ -6,14 +6,14 @@ from warpcontact.kernels.catalogue.names import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.diagnosis import Diagnosis
-    from warpcontact.unilateral.problem import Problem
+    from warpcontact.unilateral.problem import Problem, solve
     from warpcontact.unilateral.reference.acceleration import ParadoxError
     from warpcontact.unilateral.reference.assembly import Assembly, assemble
     from warpcontact.unilateral.reference.equilibrium import Equilibrium, equilibrium
     from warpcontact.unilateral.reference.event_driven import EventDriven
     from warpcontact.unilateral.reference.events import Event, EventKind, EventRun
     from warpcontact.unilateral.solution import Solution, Termination
-    from warpcontact.unilateral.solving import solve, solve_delassus
+    from warpcontact.unilateral.solving import solve_delassus
 
 # Module of each public name.
 _HOME = {
@@ -30,7 +30,7 @@ _HOME = {
     "Termination": "solution",
     "assemble": "reference.assembly",
     "equilibrium": "reference.equilibrium",
-    "solve": "solving",
+    "solve": "problem",
     "solve_delassus": "solving",
 }
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpcontact.files.atomic_files import open_for_writing
 from warpcontact.files.numpy_files import check_numbers
 from warpcontact.files.run_folder import open_file
-from warpcontact.unilateral.problem import Problem
+
+if TYPE_CHECKING:
+    from warpcontact.unilateral.problem import Problem
 
 _KIND = "warpcontact.unilateral.Problem"
 _SCHEMA = 1
@@ -38,8 +40,8 @@ def save(problem: Problem, path: str | Path) -> Path:
     return path
 
 
-def load(path: str | Path) -> Problem:
-    """Reads the problem in a file; see ``Problem.load``."""
+def read_arguments(path: str | Path) -> dict[str, Any]:
+    """Returns the arguments of the problem in a file, by name; errors as for ``Problem.load``."""
     path = Path(path)
     try:
         stream = open_file(path)
@@ -56,7 +58,7 @@ def load(path: str | Path) -> Problem:
             raise ValueError(
                 f"{path} cannot be read as a problem: it is not a NumPy archive (.npz) or is truncated"
             )
-        return _problem({name: _entry(archive, name, path) for name in archive.files if name in _ENTRIES}, path)
+        return _arguments({name: _entry(archive, name, path) for name in archive.files if name in _ENTRIES}, path)
 
 
 def _entry(archive: Any, name: str, path: Path) -> np.ndarray:
@@ -70,7 +72,7 @@ def _entry(archive: Any, name: str, path: Path) -> np.ndarray:
         ) from None
 
 
-def _problem(entries: dict[str, np.ndarray], path: Path) -> Problem:
+def _arguments(entries: dict[str, np.ndarray], path: Path) -> dict[str, Any]:
     if str(entries.get("kind")) != _KIND:
         raise ValueError(f"{path} is not a problem file: its entry 'kind' must be {_KIND!r}")
     if "schema" not in entries:
@@ -91,10 +93,9 @@ def _problem(entries: dict[str, np.ndarray], path: Path) -> Problem:
         for name in (*numbers, *matrix):
             check_numbers(name, entries[name])
         K = _sparse(*(entries[name] for name in _SPARSE)) if sparse else entries["K"]
-        f, G, d, mu, previous = (entries[name] for name in numbers)
-        return Problem(K, f, G, d, mu, previous, dim)
     except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from None
+    return {"K": K, "dim": dim, **{name: entries[name] for name in numbers}}
 
 
 def _whole_number(name: str, value: np.ndarray, path: Path) -> int:

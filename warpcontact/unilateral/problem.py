@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.catalogue.keywords import explain_keywords, explain_keywords_of
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.solution import Solution
 from warpcontact.validation.checks import Array
@@ -135,9 +135,13 @@ class Problem:
             FileNotFoundError: If there is no such file.
             ValueError: If the file was not written by ``save``, is damaged, or contains invalid values.
         """
-        from warpcontact.unilateral.file import load
+        from warpcontact.unilateral.file import read_arguments
 
-        return load(path)
+        arguments = read_arguments(path)
+        try:
+            return Problem(**arguments)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise ValueError(f"{path}: {error}") from None
 
     def part(self, which: NDArray[np.intp]) -> Problem:
         """Returns the problems of an index array; a single problem is repeated."""
@@ -172,3 +176,60 @@ class Problem:
             [np.broadcast_to(d, shape)[..., None], np.broadcast_to(previous, (*shape, previous.shape[-1]))],
             axis=-1,
         )
+
+
+@explain_keywords
+def solve(
+    K: Any,
+    f: ArrayLike,
+    G: Any,
+    d: ArrayLike,
+    mu: ArrayLike = 0.0,
+    method: str = "projection",
+    *,
+    previous: ArrayLike = 0.0,
+    tolerance: float = 1e-10,
+    iterations: int | None = None,
+    initial: ArrayLike | None = None,
+    parameter: float | None = None,
+    device: str = "cpu",
+    dim: int = 0,
+) -> Solution:
+    """Returns a solution of K u + Gᵀλ = f with gap = d − G u ≥ 0, λ ≥ 0, gap·λ = 0, and Coulomb friction.
+
+    ``Problem`` documents the shapes; there may be one problem or a batch. K may be singular or indefinite.
+    ``Solution.termination`` reports for each problem whether a solution was found, whether others exist, or why
+    there is none. All methods use the same residual.
+
+    Args:
+        K: Stiffness.
+        f: Load.
+        G: Rows that map displacements to gap closure.
+        d: Gaps at u = 0.
+        mu: Coefficients of friction.
+        method: "enumeration": all states of the contacts, for few contacts without friction or in the plane.
+            "energy": minimum of the energy by projected gradients; with friction a sequence of energies.
+            "projection": semismooth Newton's method, active sets without friction. "prox": Uzawa's iteration.
+            "gauss_seidel": contacts one after another, each solved exactly.
+        previous: Tangential displacements at which the contacts are at rest.
+        tolerance: Largest residual of a solution, dimensionless.
+        iterations: Maximum number of steps or sweeps; the default is sufficient for most problems.
+        initial: Initial λ, of the shape of ``Solution.lam``; zero by default.
+        parameter: c of "projection" or r of "prox", one for all contacts, a stiffness; by default one per contact,
+            from its compliance.
+        device: Device of the iterative methods: "cpu", "cuda:0", or "auto".
+        dim: Rows of a contact, if G does not determine it; see ``Problem``.
+
+    Raises:
+        ValueError: If an argument is not valid, or the method does not support the problem.
+
+    Example:
+        A spring of 1000 N/m is loaded with 30 N and reaches a wall after 20 mm, which carries the rest:
+
+        >>> solution = wc.unilateral.solve([[1000.0]], [30.0], [[1.0]], [0.02])
+        >>> solution.u.round(9), solution.lam.round(9), solution.converged
+        (array([0.02]), array([10.]), True)
+    """
+    return Problem(K, f, G, d, mu, previous, dim).solve(
+        method, tolerance=tolerance, iterations=iterations, initial=initial, parameter=parameter, device=device
+    )

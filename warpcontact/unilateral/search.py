@@ -1,7 +1,7 @@
 """Solves single static problems that elimination does not solve: singular or ill-conditioned K, failed methods."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -9,12 +9,14 @@ from warpcontact.unilateral import methods
 from warpcontact.unilateral.elimination import SingularError, eliminate
 from warpcontact.unilateral.freedom import free_motion, gaps_infeasible, null_space, unopposed_motion
 from warpcontact.unilateral.polish import refine
-from warpcontact.unilateral.problem import Problem
 from warpcontact.unilateral.residual import ResidualEvaluator
 from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.unilateral.solution import Termination
 from warpcontact.unilateral.states import candidates, solutions
 from warpcontact.validation.checks import Array
+
+if TYPE_CHECKING:
+    from warpcontact.unilateral.problem import Problem
 
 # Stiffness added by each proximal step, relative to that of the displacement and its contacts, for "projection"
 # and for iterative methods; its minimum; maximum number of steps.
@@ -66,7 +68,7 @@ class SearchResult:
 
 
 def search(
-    problem: Problem,
+    problem: "Problem",
     options: SolverOptions,
     guess: Array | None,
     start: tuple[Array, Array] | None,
@@ -153,7 +155,7 @@ def _by_states(scaled: ScaledProblem, result: SearchResult, tolerance: float) ->
 
 
 def _by_proximal_steps(
-    problem: Problem, scaled: ScaledProblem, result: SearchResult, options: SolverOptions, guess: Array | None
+    problem: "Problem", scaled: ScaledProblem, result: SearchResult, options: SolverOptions, guess: Array | None
 ) -> None:
     """Repeats proximal steps: solves (K + δ) u' + Gᵀλ = f + δ u with the method, and continues from u = u'.
 

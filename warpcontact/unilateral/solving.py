@@ -1,8 +1,8 @@
-"""Solves static contact problems given by displacements, or by their Delassus matrix."""
+"""Solution of static contact problems, given by displacements or by their Delassus matrix."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,6 @@ from warpcontact.unilateral.delassus import Delassus
 from warpcontact.unilateral.elimination import eliminate, is_regular
 from warpcontact.unilateral.enumeration import check_size
 from warpcontact.unilateral.methods import check_options, run
-from warpcontact.unilateral.problem import Problem
 from warpcontact.unilateral.residual import ResidualEvaluator
 from warpcontact.unilateral.search import SolverOptions, search
 from warpcontact.unilateral.solution import (
@@ -25,61 +24,8 @@ from warpcontact.unilateral.solution import (
 )
 from warpcontact.validation.checks import Array
 
-
-@explain_keywords
-def solve(
-    K: Any,
-    f: ArrayLike,
-    G: Any,
-    d: ArrayLike,
-    mu: ArrayLike = 0.0,
-    method: str = "projection",
-    *,
-    previous: ArrayLike = 0.0,
-    tolerance: float = 1e-10,
-    iterations: int | None = None,
-    initial: ArrayLike | None = None,
-    parameter: float | None = None,
-    device: str = "cpu",
-    dim: int = 0,
-) -> Solution:
-    """Returns a solution of K u + Gᵀλ = f with gap = d − G u ≥ 0, λ ≥ 0, gap·λ = 0, and Coulomb friction.
-
-    ``Problem`` documents the shapes; there may be one problem or a batch. K may be singular or indefinite.
-    ``Solution.termination`` reports for each problem whether a solution was found, whether others exist, or why
-    there is none. All methods use the same residual.
-
-    Args:
-        K: Stiffness.
-        f: Load.
-        G: Rows that map displacements to gap closure.
-        d: Gaps at u = 0.
-        mu: Coefficients of friction.
-        method: "enumeration": all states of the contacts, for few contacts without friction or in the plane.
-            "energy": minimum of the energy by projected gradients; with friction a sequence of energies.
-            "projection": semismooth Newton's method, active sets without friction. "prox": Uzawa's iteration.
-            "gauss_seidel": contacts one after another, each solved exactly.
-        previous: Tangential displacements at which the contacts are at rest.
-        tolerance: Largest residual of a solution, dimensionless.
-        iterations: Maximum number of steps or sweeps; the default is sufficient for most problems.
-        initial: Initial λ, of the shape of ``Solution.lam``; zero by default.
-        parameter: c of "projection" or r of "prox", one for all contacts, a stiffness; by default one per contact,
-            from its compliance.
-        device: Device of the iterative methods: "cpu", "cuda:0", or "auto".
-        dim: Rows of a contact, if G does not determine it; see ``Problem``.
-
-    Raises:
-        ValueError: If an argument is not valid, or the method does not support the problem.
-
-    Example:
-        A spring of 1000 N/m is loaded with 30 N and reaches a wall after 20 mm, which carries the rest:
-
-        >>> solution = wc.unilateral.solve([[1000.0]], [30.0], [[1.0]], [0.02])
-        >>> solution.u.round(9), solution.lam.round(9), solution.converged
-        (array([0.02]), array([10.]), True)
-    """
-    problem = Problem(K, f, G, d, mu, previous, dim)
-    return solve_problem(problem, method, tolerance, iterations, initial, parameter, device)
+if TYPE_CHECKING:
+    from warpcontact.unilateral.problem import Problem
 
 
 def solve_problem(

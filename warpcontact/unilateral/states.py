@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,13 @@ from warpcontact.unilateral.enumeration import (
 )
 from warpcontact.unilateral.freedom import row_null_space
 from warpcontact.unilateral.polish import refine
-from warpcontact.unilateral.problem import Problem
 from warpcontact.unilateral.residual import ResidualEvaluator
 from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.unilateral.solution import RawSolution, Solution, Termination, solution_of_displacements
 from warpcontact.validation.checks import Array
+
+if TYPE_CHECKING:
+    from warpcontact.unilateral.problem import Problem
 
 # Relative difference, in scaled units, below which two solutions are the same.
 _ALIKE = 1e-8
@@ -60,7 +63,7 @@ class ContactState:
         return bool(np.abs(one - another).max(initial=0.0) <= _ALIKE * size)
 
 
-def all_states(problem: Problem, tolerance: float) -> tuple[ScaledProblem, list[ContactState]]:
+def all_states(problem: "Problem", tolerance: float) -> tuple[ScaledProblem, list[ContactState]]:
     """Returns a single problem, scaled, and the states that are distinct solutions of it."""
     if problem.count is not None:
         raise ValueError(f"all_solutions() supports a single problem only, got {problem.count} problems")
@@ -72,13 +75,13 @@ def all_states(problem: Problem, tolerance: float) -> tuple[ScaledProblem, list[
     return scaled, found
 
 
-def all_solutions(problem: Problem, tolerance: float) -> list[Solution]:
+def all_solutions(problem: "Problem", tolerance: float) -> list[Solution]:
     """Returns the distinct solutions of a single problem."""
     return as_solutions(problem, *all_states(problem, tolerance), tolerance)
 
 
 def as_solutions(
-    problem: Problem, scaled: ScaledProblem, found: list[ContactState], tolerance: float
+    problem: "Problem", scaled: ScaledProblem, found: list[ContactState], tolerance: float
 ) -> list[Solution]:
     """Returns states of a single problem as solutions in its units."""
     evaluator, listed = ResidualEvaluator.of(problem), []

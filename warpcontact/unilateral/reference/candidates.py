@@ -17,7 +17,6 @@ from warpcontact.scene.shapes import ShapeContact
 from warpcontact.scene.status import ContactStatus
 from warpcontact.unilateral.reference.bodies import rotation_matrices
 from warpcontact.unilateral.reference.events import Event, EventKind
-from warpcontact.unilateral.reference.segments import closest_on_segments
 from warpcontact.unilateral.reference.snapshot import EnvironmentAccess, Snapshot
 from warpcontact.validation.checks import Array
 
@@ -25,6 +24,8 @@ AnyContact = Contact | ShapeContact | ParticleContact
 
 # Penetration up to which a latched point counts as in contact [m]; deeper points came from the inner side.
 LATCHED_IN = 1.0e-6
+# Squared sine of the angle below which two segments are parallel.
+PARALLEL = 1.0e-10
 
 
 @dataclass(frozen=True)
@@ -278,3 +279,33 @@ def _pairs(pile: ParticleContactSet) -> NDArray[np.int_]:
         pile.contact.bodies[index_1] != pile.contact.bodies[index_2]
     )
     return np.stack([index_1[allowed_pairs], index_2[allowed_pairs]], axis=1)
+
+
+def closest_on_segments(d: Array, g: Array, h: Array) -> tuple[Array, Array]:
+    """Returns the parameters (s, t) in [−1, 1] (n,) of the closest points of pairs of segments.
+
+    For parallel segments that overlap in projection, the middle of the overlap is used.
+
+    Args:
+        d: Vector from the middle of the second to that of the first (n, 3) [m].
+        g: Vector from the middle of the first to its end (n, 3) [m]; zeros: a point.
+        h: Likewise for the second.
+    """
+    a, b, c = (g * g).sum(axis=1), (g * h).sum(axis=1), (h * h).sum(axis=1)
+    e, f = (g * d).sum(axis=1), (h * d).sum(axis=1)
+    long_1, long_2 = a > 0.0, c > 0.0
+    a_or_1, c_or_1 = np.where(long_1, a, 1.0), np.where(long_2, c, 1.0)
+    det = a * c - b * b
+    crossing = det > PARALLEL * a * c
+    ends = np.stack([-e - b, -e + b]) / a_or_1
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    beside = 0.5 * (np.maximum(low, -1.0) + np.minimum(high, 1.0))
+    # Without overlap: the end that is nearest to the other segment.
+    beside = np.where(high < -1.0, -1.0, np.where(low > 1.0, 1.0, beside))
+    s = np.where(crossing, (b * f - c * e) / np.where(crossing, det, 1.0), beside)
+    s = np.where(long_2, np.clip(s, -1.0, 1.0), np.clip(-e / a_or_1, -1.0, 1.0))
+    s = np.where(long_1, s, 0.0)
+    t = np.where(long_2, (f + s * b) / c_or_1, 0.0)
+    beyond = np.abs(t) > 1.0
+    t = np.clip(t, -1.0, 1.0)
+    return np.where(beyond & long_1, np.clip((t * b - e) / a_or_1, -1.0, 1.0), s), t

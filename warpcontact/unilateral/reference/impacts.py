@@ -1,13 +1,13 @@
-"""Impacts of rigid bodies: simultaneous contacts with friction, and series at decreasing intervals."""
+"""Impacts of rigid bodies: simultaneous with friction or sequential, and series at decreasing intervals."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.kernels.nonsmooth.sequence import MAX_IMPACTS_PER_CONTACT, TIE
 from warpcontact.unilateral.reference.acceleration import find_contact_modes
 from warpcontact.unilateral.reference.assembly import Assembler, Assembly
 from warpcontact.unilateral.reference.crossings import NO_FORCE, SPEED_TOLERANCE
 from warpcontact.unilateral.reference.events import Event, EventKind
-from warpcontact.unilateral.reference.sequence import parting_speeds
 from warpcontact.unilateral.reference.snapshot import Snapshot
 from warpcontact.validation.checks import Array
 
@@ -16,6 +16,8 @@ WORK_TOLERANCE = 1.0e-12
 MAX_HALVINGS = 45
 # Slip speed relative to that of the last impact of a series up to which slip ends with the series.
 SLIDE_SPEED_RATIO = 20.0
+# Approach speeds below this fraction of the largest are zero in sequential impacts.
+SMALL_APPROACH = 1.0e-12
 
 
 class Impacts:
@@ -69,7 +71,7 @@ class Impacts:
         if self._sequential and restitution.any():
             normals = 3 * np.arange(own.count)
             W = own.delassus[np.ix_(normals, normals)]
-            separation_speed = parting_speeds(W, speed[:, 0], restitution, own.bodies, self._method)
+            separation_speed = _parting_speeds(W, speed[:, 0], restitution, own.bodies, self._method)
 
         def solve_impact(factor: float) -> tuple[Array, float]:
             target = speed.copy()
@@ -122,3 +124,41 @@ def _end_series(own: Assembly, velocity: Array, ending: NDArray[np.bool_], appro
     rows = own.rows[chosen]
     response = own.inverse_mass @ rows.T
     return velocity - response @ np.linalg.lstsq(rows @ response, rows @ velocity, rcond=1.0e-11)[0]
+
+
+def _parting_speeds(W: Array, speed: Array, restitution: Array, bodies: NDArray[np.int_], method: str) -> Array:
+    """Returns the normal velocities (contacts,) after sequential impacts; 0 for contacts that were not hit.
+
+    ``kernels/nonsmooth/sequence.py`` implements the same rule.
+
+    The pair of bodies with the largest approach speed collides first. Its contacts are solved together, without
+    friction, by Newton's law with the current velocities. This repeats until no contact approaches. Contacts that
+    still approach after ``MAX_IMPACTS_PER_CONTACT`` impacts per contact do not bounce.
+
+    Args:
+        W: Delassus matrix of the normals (contacts, contacts) [1/kg].
+        speed: Normal velocities before, positive in separation (contacts,) [m/s].
+        restitution: Newton's coefficients (contacts,).
+        bodies: Indices of the first and the second body (contacts, 2).
+        method: Method of ``wc.unilateral.solve_delassus``.
+    """
+    from warpcontact.unilateral.solving import solve_delassus
+
+    pairs = np.sort(bodies, axis=1)
+    can_move = np.diag(W) > 0.0
+    speeds, was_hit = speed.copy(), np.zeros(len(speed), dtype=bool)
+    small = SMALL_APPROACH * max(-speed.min(), 0.0)
+    for _ in range(MAX_IMPACTS_PER_CONTACT * len(speed)):
+        approach = np.where(can_move, -speeds, 0.0)
+        if approach.max() <= small:
+            break
+        fastest, fastest_speed = 0, 0.0
+        for contact, approach_speed in enumerate(approach.tolist()):
+            if approach_speed > fastest_speed * (1.0 + TIE):
+                fastest, fastest_speed = contact, approach_speed
+        chosen = np.flatnonzero((pairs == pairs[fastest]).all(axis=1) & can_move)
+        target = speeds[chosen] + restitution[chosen] * np.minimum(speeds[chosen], 0.0)
+        impulse = np.asarray(solve_delassus(W[np.ix_(chosen, chosen)], target, method=method).lam)
+        speeds = speeds + W[:, chosen] @ impulse
+        was_hit[chosen[impulse > 0.0]] = True
+    return np.where(was_hit, np.maximum(speeds, 0.0), 0.0)
