@@ -6,7 +6,7 @@ from recorded_usd_scene import CORNERS, RADII, simulate
 from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
-from warpcontact.drawing.drawing import Drawing
+from warpcontact.drawing.draw import drawing_of
 
 TURNED = (0.0, 0.0, np.sin(0.3), np.cos(0.3))
 
@@ -18,7 +18,7 @@ def recording(device):
 
 @pytest.fixture(scope="module")
 def drawing(recording):
-    return Drawing.of(recording)
+    return drawing_of(recording)
 
 
 def figures(drawing, name):
@@ -83,7 +83,7 @@ def test_invisible_elements_are_not_drawn(device):
     scene.add_spring_damper(centre, scene.add_point(None, (0, 0, 2)), stiffness=1.0, name="spring")
     scene.add_shape(ball, wc.shapes.Sphere(0.1), name="hidden", visible=False)
     recording = wc.Simulation(scene.build(device=device), dt=1e-3).run(0.003, poses=True)
-    drawing = Drawing.of(recording)
+    drawing = drawing_of(recording)
     assert (drawing.figures, drawing.contact_forces, [curve.name for curve in drawing.curves]) == (
         [],
         [],
@@ -114,7 +114,7 @@ def test_drawn_shapes_have_outward_normals(form, count, device):
         body = scene.add_bodies(np.array([[i, 2, 3] for i in range(1, count + 1)]), 1.0, (1, 1, 1), name="body")
     scene.add_shape(body, form, name="form", color=(1, 0, 0))
     recording = wc.Simulation(scene.build(envs=2, device=device), dt=1e-3).run(0.002, poses=True)
-    (figure,) = figures(Drawing.of(recording), "form")
+    (figure,) = figures(drawing_of(recording), "form")
     assert figure.present.shape == (2, count or 1)
     assert figure.present.all()
     np.testing.assert_allclose(figure.positions[2, 1, -1], [count or 1, 2, 3])
@@ -140,7 +140,7 @@ def test_shapes_of_several_sizes_are_drawn_once_each(device):
     model = scene.build(envs=2, device=device)
     model["hulls.half_length"] = [[0.2, 0.3, 0.2]] * 2
     recording = wc.Simulation(model, dt=1e-3).run(0.002, poses=True)
-    short, long = sorted(figures(Drawing.of(recording), "hulls"), key=lambda one: np.ptp(one.shape.vertices))
+    short, long = sorted(figures(drawing_of(recording), "hulls"), key=lambda one: np.ptp(one.shape.vertices))
     assert np.ptp(long.shape.vertices) == pytest.approx(0.8, rel=1e-3)
     np.testing.assert_array_equal(short.present, [[True, False, True]] * 2)
     np.testing.assert_array_equal(long.present, ~short.present)
@@ -152,7 +152,7 @@ def test_body_without_elements_is_drawn_and_shape_set_is_drawn_once(device):
     grains = scene.add_bodies(np.array([[0, 0, 1], [1, 0, 1.0]]), 1.0, (1, 1, 1), name="grains")
     scene.add_shape(grains, wc.shapes.Sphere(0.2), name="hulls")
     scene.add_bodies(np.array([[0, 0, 2], [1, 0, 2.0]]), 1.0, (1, 1, 1), name="dust")
-    drawing = Drawing.of(wc.Simulation(scene.build(device=device), dt=1e-3).run(0.002, poses=True))
+    drawing = drawing_of(wc.Simulation(scene.build(device=device), dt=1e-3).run(0.002, poses=True))
     assert [figure.name for figure in drawing.figures] == ["centres", "bare", "hulls"]
     (bare,) = figures(drawing, "bare")
     np.testing.assert_allclose(bare.positions[2, 0, 0], [1.002, 2, 3])

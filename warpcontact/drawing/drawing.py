@@ -1,13 +1,10 @@
 """Renderer-independent data of a drawing: figures, curves and contact forces over time."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.scene.scene_data import SceneData
 from warpcontact.validation.checks import Array
 
 
@@ -93,7 +90,7 @@ class ContactForces:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """Drawing of the selected environments of a recording, Z up.
+    """Drawing of the selected environments of a recording, Z up. Created by ``drawing_of``.
 
     Attributes:
         times: Simulated time of each record, (time,) [s].
@@ -112,12 +109,3 @@ class Drawing:
     contact_forces: list[ContactForces]
     size: float
     force_scale: float
-
-    @classmethod
-    def of(
-        cls, recording: xr.Dataset, scene: SceneData | None = None, envs: int | Iterable[int] | None = None
-    ) -> "Drawing":
-        """Returns the drawing of some environments of a recording; arguments and errors as for ``drawing_of``."""
-        from warpcontact.drawing.draw import drawing_of
-
-        return drawing_of(recording, scene, envs)

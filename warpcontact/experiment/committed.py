@@ -9,8 +9,7 @@ from collections.abc import AsyncIterator, Iterable, Mapping
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store
 from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
 
-from warpcontact.experiment.records import COMMITS, DATA, Commit, RunDataError, commits_in, created_files
-from warpcontact.experiment.store import STAGING
+from warpcontact.experiment.records import COMMITS, DATA, STAGING, Commit, RunDataError, commits_in, created_files
 from warpcontact.files.run_folder import RunPath
 
 

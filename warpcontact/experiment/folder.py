@@ -14,8 +14,9 @@ from warpcontact.experiment.catalogue import DeviceModelSettings, FileMesh, Sect
 from warpcontact.experiment.errors import ExperimentError, abbreviated
 from warpcontact.experiment.lock import is_locked, locked_error
 from warpcontact.experiment.observation import OutcomeSettings
+from warpcontact.experiment.records import COMMITS, DATA, STAGING
 from warpcontact.experiment.schema import DEVICE_MODEL_SECTIONS, ROW_KEYS, Settings
-from warpcontact.experiment.store import CHECKPOINTS, COMMITS, DATA, STAGING
+from warpcontact.experiment.store import CHECKPOINTS
 from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation import relocate
 from warpcontact.files.atomic_files import write_json

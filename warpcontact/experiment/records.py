@@ -18,6 +18,8 @@ from warpcontact.validation.safe_text import SafeTextError
 
 DATA = "data.zarr"
 COMMITS = "commit"
+#: Folder of chunks that are written and not committed.
+STAGING = "staging"
 #: File in ``COMMITS`` that lists the files of the empty store.
 MADE = "store.json"
 

@@ -31,6 +31,7 @@ from warpcontact.experiment.records import (
     COMMITS,
     DATA,
     MADE,
+    STAGING,
     Commit,
     Files,
     RunDataError,
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
 
     from warpcontact.experiment.committed import CommittedStore
 
-STAGING = "staging"
 CHECKPOINTS = "checkpoint"
 
 # If the largest divisor of the shard size is smaller than the wanted chunk by this factor, the next larger is used.

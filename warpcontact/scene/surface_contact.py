@@ -1,14 +1,16 @@
 """Contact of two surfaces by sample points on one or both of them."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpcontact.meshes import SurfaceSamples, sample_surface
 from warpcontact.scene.elements import Contact, ContactMaterial, ContactOptions, Surface
-from warpcontact.scene.scene_data import SceneData
 from warpcontact.validation import checks
+
+if TYPE_CHECKING:
+    from warpcontact.scene.scene_data import SceneData
 
 SIDES = ("first", "average")
 #: Sampling methods with a fixed number of points.
@@ -16,7 +18,7 @@ COUNTED = ("vertices", "centroids")
 
 
 def add_surface_contact(
-    scene: SceneData,
+    scene: "SceneData",
     surface_a: Surface,
     surface_b: Surface,
     material: ContactMaterial,
@@ -37,7 +39,7 @@ def add_surface_contact(
 
 
 def _add(
-    scene: SceneData,
+    scene: "SceneData",
     surface_a: Surface,
     surface_b: Surface,
     material: ContactMaterial,

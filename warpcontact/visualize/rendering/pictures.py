@@ -13,6 +13,7 @@ from PIL import Image
 
 from warpcontact.building.scene import Scene
 from warpcontact.drawing.colors import per_environment_number
+from warpcontact.drawing.draw import drawing_of
 from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.run import Run
 from warpcontact.files.atomic_files import atomic_file
@@ -112,7 +113,7 @@ class Source:
 
     def drawing(self, records: Sequence[int]) -> Drawing:
         """Returns the drawing of some records of the selected environments."""
-        return Drawing.of(self.recording.isel(time=list(records)), self.scene, self.envs)
+        return drawing_of(self.recording.isel(time=list(records)), self.scene, self.envs)
 
     def overview(self) -> list[int]:
         """Returns evenly spaced records that determine camera and arrow length."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from warpcontact.building.scene import Scene
 from warpcontact.drawing.colors import GAPS
 from warpcontact.drawing.decimation import evenly, kept_samples
+from warpcontact.drawing.draw import drawing_of
 from warpcontact.drawing.drawing import Drawing, Shape
 from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import count
@@ -139,18 +140,18 @@ def _drawing(recording: xr.Dataset, scene: Scene, envs: list[int]) -> tuple[Draw
     """Returns the drawing of all environments that can be drawn, and notes on the others."""
     chosen = recording.sel(env=envs)
     try:
-        return Drawing.of(chosen, scene, envs), []
+        return drawing_of(chosen, scene, envs), []
     except ValueError as error:
         if len(envs) == 1:
             return None, [f"There is no replay: {short(error, 300)}."]
     notes, good = [], []
     for env in envs:
         try:
-            Drawing.of(chosen.sel(env=[env]), scene, [env])
+            drawing_of(chosen.sel(env=[env]), scene, [env])
             good.append(env)
         except ValueError as error:
             notes.append(f"Environment {env} is not replayed: {short(error, 300)}.")
-    return (Drawing.of(chosen.sel(env=good), scene, good) if good else None), notes
+    return (drawing_of(chosen.sel(env=good), scene, good) if good else None), notes
 
 
 def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:

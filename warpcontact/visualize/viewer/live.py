@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.draw import drawing_of
 from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.defaults import default_sensors
 from warpcontact.model.environments import Environments
@@ -324,7 +325,7 @@ class Live(ViewerThread):
         recorder.rewind()
         recorder.take(self.simulation.time)
         recording = recorder.finish({})
-        self._drawing = drawing = Drawing.of(recording, envs=[env])
+        self._drawing = drawing = drawing_of(recording, envs=[env])
         if any(contact.forces.any() for contact in drawing.contact_forces):
             # Keep arrows comparable for a few seconds: the scale follows the largest recent force.
             self._force_scale = min(self._force_scale * FADE, drawing.force_scale)

@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.building.scene import Scene
+from warpcontact.drawing.draw import drawing_of
 from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.folder import SUMMARY
 from warpcontact.experiment.records import COMMITS
@@ -81,7 +82,7 @@ class Source(ABC):
             if not count:
                 return None
             env_data = env_data.isel(time=slice(0, count))
-        return Drawing.of(env_data, self.scene, [env])
+        return drawing_of(env_data, self.scene, [env])
 
 
 class RecordingSource(Source):
