@@ -79,11 +79,6 @@ MET = 0
 NOT_CONVERGED = 1  # the last iterate is not stationary to the tolerance
 OUTSIDE = 2  # beyond the boundary of a parametric surface: no contact
 
-# Root of the equations of two surfaces.
-ROOT_FACING = 0  # the normals are antiparallel
-ROOT_PARALLEL = 1  # inner normal of one surface and outer normal of the other
-ROOT_FALSE = 2  # solves the equations only, at a singularity of a chart
-ROOT_NONE = 3  # no root was found
 
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its vertices.
 FEATURE_COUNT = 7

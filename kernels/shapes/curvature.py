@@ -26,11 +26,11 @@ from warpcontact.kernels.shapes.base import (
     zero,
 )
 from warpcontact.kernels.shapes.capsule import Capsule
-from warpcontact.kernels.shapes.charts import chart
 from warpcontact.kernels.shapes.cone import Cone
 from warpcontact.kernels.shapes.cylinder import Cylinder
 from warpcontact.kernels.shapes.ellipsoid import Ellipsoid
-from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
+from warpcontact.kernels.shapes.pair import perpendicular
+from warpcontact.kernels.shapes.parametric_surface import ParametricSurface, parametric_jet
 from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.kernels.shapes.rounded_box import RoundedBox
 from warpcontact.kernels.shapes.sphere import Sphere
@@ -40,14 +40,6 @@ from warpcontact.kernels.shapes.torus import Torus
 infinite = wp.constant(real(wp.inf))
 # Tolerance for points on an edge (relative to the size) and for normals along an axis.
 TOLERANCE = wp.constant(real(1.0e-9))
-
-
-@wp.func
-def perpendicular(n: vec3d):
-    """Returns a unit vector normal to the unit vector n."""
-    if wp.abs(n[0]) < wp.abs(n[2]):
-        return wp.normalize(vec3d(zero, n[2], -n[1]))
-    return wp.normalize(vec3d(-n[1], n[0], zero))
 
 
 @wp.func
@@ -245,11 +237,11 @@ def curvature(A: type[Shape]) -> wp.Function:
         TypeError: If the shape has no curvature function.
     """
     if issubclass(A, ParametricSurface):
-        jet_of = chart(A).jet
+        jet_of = parametric_jet(A)
 
         @wp.func
         def parametric_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-            jet = jet_of(p, 0, u, v)
+            jet = jet_of(p, u, v)
             # Second fundamental form on unit vectors along x_u and normal to it; convex is positive.
             length = wp.length(jet.u)
             x = jet.u / length

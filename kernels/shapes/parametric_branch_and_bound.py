@@ -127,7 +127,7 @@ def global_search(
 
     @wp.func
     def element(p_b: Any, u: real, v: real, offset: real):
-        jet = jet_of(p_b, 0, u, v)
+        jet = jet_of(p_b, u, v)
         at = SurfaceElement()
         at.z = jet.x
         at.u = jet.u

@@ -59,7 +59,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
     def evaluate(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: vec2d, offset: real, start: vec3d, threshold: real):
         at = SurfaceSample()
         at.u = u
-        at.jet = jet_of(p_b, 0, u[0], u[1])
+        at.jet = jet_of(p_b, u[0], u[1])
         at.normal = wp.normalize(wp.cross(at.jet.u, at.jet.v))
         at.offset_point = at.jet.x - offset * at.normal
         at.closest = distance_at(

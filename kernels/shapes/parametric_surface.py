@@ -115,13 +115,13 @@ def _check_range(name: str, values: Any) -> None:
 
 @functools.cache
 def parametric_jet(A: type[ParametricSurface]) -> wp.Function:
-    """Returns the chart of a parametric surface, ``(p, pole, u, v)``; ``pole`` is not used."""
+    """Returns the device function ``(p, u, v)``: the ``Jet`` of a parametric surface."""
     position = A.position
     given = getattr(A, "derivatives", None)
     if given is not None:
 
         @wp.func
-        def jet_of_derivatives(p: Any, pole: wp.int32, u: real, v: real):
+        def jet_of_derivatives(p: Any, u: real, v: real):
             jet = Jet()
             jet.x = position(p, u, v)
             x_u, x_v, x_uu, x_uv, x_vv = given(p, u, v)
@@ -159,7 +159,7 @@ def parametric_jet(A: type[ParametricSurface]) -> wp.Function:
         return first, second
 
     @wp.func
-    def jet_of_differences(p: Any, pole: wp.int32, u: real, v: real):
+    def jet_of_differences(p: Any, u: real, v: real):
         jet = Jet()
         jet.x = position(p, u, v)
         x_u, x_uu = difference_along(p, jet.x, u, v, du, zero)
