@@ -96,7 +96,7 @@ def test_every_public_name_loads_and_is_listed_once():
 
 
 ON_DEMAND = (
-    *(f"kernels.{name}" for name in ("couplings.springs", "friction", "joints", "laws", "shapes.shapes")),
+    *(f"kernels.{name}" for name in ("couplings.springs", "friction", "joints", "laws", "shapes")),
     *("experiment", "meshes", "stepping.outcomes", "unilateral"),
 )
 
@@ -156,7 +156,7 @@ NEEDLESS = (
         for part in ("couplings.catenary", "friction.bristle", "laws.nonlinear_dashpot")
     ),
     *(f"warpcontact.kernels.shapes.{part}" for part in ("curvature", "derivatives", "narrow_phase")),
-    *("warpcontact.kernels.shapes.sphere", "warpcontact.kernels.shapes.superellipsoid"),
+    *("warpcontact.kernels.shapes.spheres", "warpcontact.kernels.shapes.superellipsoid"),
     *("warpcontact.kernels.joints.prescribed", "warpcontact.kernels.outcomes.catalogue"),
     "warpcontact.kernels.couplings.springs.models",
     *("warpcontact.experiment.cluster", "warpcontact.experiment.execute", "warpcontact.experiment.run"),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from warpcontact.building.scene import Scene
     from warpcontact.experiment import Experiment, ExperimentError, Run, RunDataError, open_run
     from warpcontact.files.regular_files import UnsafeFileError
-    from warpcontact.kernels import friction, laws
+    from warpcontact.kernels import friction, laws, shapes
     from warpcontact.kernels.catalogue.device_model import history, parameter, table
     from warpcontact.kernels.couplings import springs
     from warpcontact.kernels.couplings.springs.base import Damper, Spring
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from warpcontact.kernels.joints.base import Motion
     from warpcontact.kernels.laws.base import Law
     from warpcontact.kernels.outcomes.base import Outcome
-    from warpcontact.kernels.shapes import shapes
     from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model.health import Health
@@ -143,7 +142,7 @@ _HOME = {
     "report": "warpcontact.visualize.report",
     "sample_surface": "warpcontact.meshes",
     "sensitivity": "warpcontact.analysis",
-    "shapes": "warpcontact.kernels.shapes.shapes",
+    "shapes": "warpcontact.kernels.shapes",
     "springs": "warpcontact.kernels.couplings.springs",
     "table": "warpcontact.kernels.catalogue.device_model",
     "unilateral": "warpcontact.unilateral",

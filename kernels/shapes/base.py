@@ -1,4 +1,4 @@
-"""Base class of analytic shapes, and the structs that their pair algorithms share.
+"""Base class of analytic shapes, the half-space, and the structs that pair algorithms share.
 
 All computations are in float64, independent of the precision of the model. A pair is described in the frame of its
 second shape, b: ``x`` [m] is the origin of the frame of the first shape, a, and ``q`` the rotation a → b.
@@ -125,3 +125,17 @@ class Shape(Formula):
         super().__init_subclass__(**keywords)
         if cls.memories:
             raise TypeError(f"{cls.__name__}.{next(iter(cls.memories))}: a shape must not have history variables")
+
+
+class Plane(Shape):
+    """The half-space z ≤ 0; its normal is +z. It has no support function except along z."""
+
+    formula = "z = 0"
+
+    @wp.func
+    def signed_distance(p: Any, x: wp.vec3d):
+        found = SignedDistance()
+        found.normal = wp.vec3d(zero, zero, one)
+        found.gap = x[2]
+        found.point = wp.vec3d(x[0], x[1], zero)
+        return found

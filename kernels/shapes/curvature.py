@@ -16,6 +16,7 @@ import warp as wp
 from warpcontact.kernels.shapes.base import (
     LOOSE_AXIS_TOLERANCE,
     Curvature,
+    Plane,
     Shape,
     ShapeContactPoint,
     half,
@@ -25,17 +26,12 @@ from warpcontact.kernels.shapes.base import (
     vec3d,
     zero,
 )
-from warpcontact.kernels.shapes.capsule import Capsule
-from warpcontact.kernels.shapes.cone import Cone
-from warpcontact.kernels.shapes.cylinder import Cylinder
-from warpcontact.kernels.shapes.ellipsoid import Ellipsoid
-from warpcontact.kernels.shapes.pair import perpendicular
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface, parametric_jet
-from warpcontact.kernels.shapes.plane import Plane
+from warpcontact.kernels.shapes.revolution import Cone, Cylinder, Torus
 from warpcontact.kernels.shapes.rounded_box import RoundedBox
-from warpcontact.kernels.shapes.sphere import Sphere
+from warpcontact.kernels.shapes.separation import perpendicular
+from warpcontact.kernels.shapes.spheres import Capsule, Ellipsoid, Sphere
 from warpcontact.kernels.shapes.superellipsoid import Superellipsoid
-from warpcontact.kernels.shapes.torus import Torus
 
 infinite = wp.constant(real(wp.inf))
 # Tolerance for points on an edge (relative to the size) and for normals along an axis.

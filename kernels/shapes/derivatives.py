@@ -16,14 +16,10 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.shapes.base import Curvature, Shape, one, real, vec3d, zero
-from warpcontact.kernels.shapes.capsule import Capsule
-from warpcontact.kernels.shapes.cone import Cone
-from warpcontact.kernels.shapes.cylinder import Cylinder
-from warpcontact.kernels.shapes.ellipsoid import Ellipsoid
+from warpcontact.kernels.shapes.revolution import Cone, Cylinder, Torus
 from warpcontact.kernels.shapes.rounded_box import RoundedBox
-from warpcontact.kernels.shapes.sphere import Sphere
+from warpcontact.kernels.shapes.spheres import Capsule, Ellipsoid, Sphere
 from warpcontact.kernels.shapes.superellipsoid import Superellipsoid
-from warpcontact.kernels.shapes.torus import Torus
 
 vec2d = wp.vec2d
 mat22d = wp.mat22d

@@ -12,7 +12,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.shapes.base import Shape, mat33d, one, real, vec3d, zero
-from warpcontact.kernels.shapes.sphere import Sphere
+from warpcontact.kernels.shapes.spheres import Sphere
 from warpcontact.kernels.shapes.superellipsoid import Superellipsoid
 
 #: Maximum number of divisions of a cell by four; level of starting cells if there is no bound.

@@ -11,11 +11,10 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.shapes.base import Shape, SignedDistance, half, real, two, vec3d, zero
+from warpcontact.kernels.shapes.base import Plane, Shape, SignedDistance, half, real, two, vec3d, zero
 from warpcontact.kernels.shapes.parametric_surface import Jet, ParametricSurface, parametric_jet
-from warpcontact.kernels.shapes.plane import Plane
+from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.kernels.shapes.signed_distance import UP
-from warpcontact.kernels.shapes.torus import Torus
 
 vec2d = wp.vec2d
 

@@ -17,11 +17,10 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.shapes.base import Shape, ShapeContactPoint, half, one, real, two, vec3d, zero
+from warpcontact.kernels.shapes.base import Plane, Shape, ShapeContactPoint, half, one, real, two, vec3d, zero
 from warpcontact.kernels.shapes.curvature import curvature
 from warpcontact.kernels.shapes.parametric_branch_and_bound import INFINITE, SurfaceSample, global_search
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface, parametric_jet
-from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.kernels.shapes.signed_distance import UP, signed_distance_within
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 

@@ -15,9 +15,9 @@ import functools
 from typing import NamedTuple
 
 import warp as wp
-from warpcontact.kernels.shapes import pair, zonotope
+from warpcontact.kernels.shapes import zonotope
 from warpcontact.kernels.shapes.base import AXIS_TOLERANCE, LOOSE_AXIS_TOLERANCE, Shape, mat33d, real, vec3d
-from warpcontact.kernels.shapes.pair import perpendicular
+from warpcontact.kernels.shapes.separation import perpendicular, separation_functions
 from warpcontact.kernels.types import Struct
 
 vec2d = wp.vec2d
@@ -85,7 +85,7 @@ class Functions(NamedTuple):
 @functools.cache
 def functions(A: type[Shape], B: type[Shape]) -> Functions:
     """Returns the struct ``AscentResult`` and the device function ``ascend``."""
-    pair_functions = pair.functions(A, B)
+    pair_functions = separation_functions(A, B)
     KinkVector, CoefficientsA, CoefficientsB, evaluate_separation = (
         pair_functions.KinkVector,
         pair_functions.CoefficientsA,

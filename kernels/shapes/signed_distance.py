@@ -7,8 +7,7 @@ import warp as wp
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.shapes import convex, direction_branch_and_bound, separation_newton
 from warpcontact.kernels.shapes.base import Shape, SignedDistance, WarmStart, one, real, vec3d, zero
-from warpcontact.kernels.shapes.ellipsoid import Ellipsoid
-from warpcontact.kernels.shapes.sphere import Sphere
+from warpcontact.kernels.shapes.spheres import Ellipsoid, Sphere
 
 # Newton's method for the distance from an ellipsoid ends when a step is rounding, usually after 5 to 8 steps.
 MAX_STEPS = wp.constant(wp.int32(60))

@@ -23,8 +23,8 @@ from warpcontact.kernels.shapes.base import (
     vec3d,
     zero,
 )
+from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.kernels.shapes.signed_distance import signed_distance
-from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.kernels.types import NOT_CONVERGED
 
 #: Number of samples on the circle, and of subintervals between two of them.

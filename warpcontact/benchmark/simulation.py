@@ -9,7 +9,7 @@ import warp as wp
 from warpcontact.benchmark.scenes import DAMPING, DT, FRICTION, SLIP_SPEED, STIFFNESS, BenchmarkScene
 from warpcontact.building.scene import Scene
 from warpcontact.kernels import friction, laws
-from warpcontact.kernels.shapes.sphere import Sphere
+from warpcontact.kernels.shapes.spheres import Sphere
 from warpcontact.meshes import Mesh
 from warpcontact.scene.elements import ContactMaterial
 from warpcontact.stepping.simulation import Simulation

@@ -15,8 +15,8 @@ from warpcontact.drawing.shapes import PLANE, ShapePlacement, ShapeSet
 from warpcontact.drawing.spheres import Spheres, body_color, body_size
 from warpcontact.drawing.surfaces import INACTIVE, Placement, surface_color
 from warpcontact.drawing.triangles import analytic_shape, ball
-from warpcontact.kernels.shapes import shapes
-from warpcontact.kernels.shapes.plane import Plane
+from warpcontact.kernels import shapes
+from warpcontact.kernels.shapes.base import Plane
 from warpcontact.scene.elements import Body
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.validation.checks import Array

@@ -8,9 +8,9 @@ import numpy as np
 from warpcontact.algebra.poses import product, transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.drawing.spheres import body_color
-from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels import shapes
+from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
-from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.scene.shape_tessellation import tessellate
 from warpcontact.scene.shapes import Shape
 from warpcontact.validation.checks import Array

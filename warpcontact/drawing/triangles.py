@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 
 from warpcontact.drawing.drawing import Shape
-from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels import shapes
+from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.base import Shape as Form
-from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.meshes import icosphere
 from warpcontact.scene.shape_tessellation import tessellate
 from warpcontact.validation.checks import Array

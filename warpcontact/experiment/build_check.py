@@ -17,11 +17,10 @@ from warpcontact.experiment.parser import ExperimentParts
 from warpcontact.experiment.schema import DEVICE_MODEL_SECTIONS
 from warpcontact.experiment.user_code import describe_error
 from warpcontact.geometry.query_mesh import QueryMeshCache
-from warpcontact.kernels import laws
+from warpcontact.kernels import laws, shapes
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.couplings import springs
 from warpcontact.kernels.joints import Motion
-from warpcontact.kernels.shapes import shapes
 from warpcontact.model.environments import Environments
 from warpcontact.scene.elements import ContactMaterial
 

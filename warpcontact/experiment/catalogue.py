@@ -28,12 +28,11 @@ from warpcontact import meshes
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.errors import abbreviated
 from warpcontact.experiment.user_code import UserFiles, describe_error
-from warpcontact.kernels import friction, joints, laws
+from warpcontact.kernels import friction, joints, laws, shapes
 from warpcontact.kernels.catalogue.device_model import ROWS, Formula, unit_vectors
 from warpcontact.kernels.catalogue.names import suggestion
 from warpcontact.kernels.contact.contact_evaluation import ContactModel
 from warpcontact.kernels.couplings import springs
-from warpcontact.kernels.shapes import shapes
 from warpcontact.validation.checks import limits
 
 #: Generated meshes, by the name of their generator.

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warpcontact.kernels import shapes as forms
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
-from warpcontact.kernels.shapes import shapes as forms
 from warpcontact.scene.add_shapes import check_material
 from warpcontact.scene.elements import ContactMaterial
 from warpcontact.scene.mesh_arguments import options_of

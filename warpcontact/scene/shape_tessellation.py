@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.shapes import tessellation
+from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
-from warpcontact.kernels.shapes.plane import Plane
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.meshes import icosphere
 from warpcontact.storage.parameters import pack
 from warpcontact.system.capture_lock import shared_capture_lock

@@ -11,11 +11,11 @@ from warpcontact.algebra.poses import transform_points
 from warpcontact.drawing.shapes import PLANE, ShapePlacement, ShapeSet
 from warpcontact.drawing.spheres import Spheres, body_color
 from warpcontact.drawing.surfaces import INACTIVE, Placement, surface_color
-from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels import shapes
+from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
-from warpcontact.kernels.shapes.plane import Plane
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.scene.elements import Body, Surface
 from warpcontact.scene.shape_tessellation import tessellate
 from warpcontact.usd.author import Samples, add_pose, integers, quaternions, store_element_name, vectors, write_box

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from warpcontact.drawing.replay import Replay
+from warpcontact.kernels import shapes
 from warpcontact.kernels.friction import Friction, Frictionless
-from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.scene.elements import Contact
 from warpcontact.scene.shapes import ShapeContact

@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.kernels import friction, joints, laws
+from warpcontact.kernels import friction, joints, laws, shapes
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.couplings import springs
 from warpcontact.kernels.couplings.springs import Damper, Spring
 from warpcontact.kernels.friction import Friction
 from warpcontact.kernels.joints import Free, Motion
 from warpcontact.kernels.laws import Law
-from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.scene.contact_coupling import ContactCoupling
 from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper

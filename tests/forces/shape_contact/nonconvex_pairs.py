@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from warpcontact.kernels import shapes
 from warpcontact.kernels.catalogue.device_model import coefficient_struct, parameter
-from warpcontact.kernels.shapes import nonconvex_pairs, shapes
+from warpcontact.kernels.shapes import pair_dispatch
 from warpcontact.kernels.shapes.base import ShapeContactPoint, WarmStart
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels.shapes.revolution import Torus
 
 S = shapes
 
@@ -24,7 +25,7 @@ def packed(made):
 
 def shape_contacts(a, b, x, q, device, of_pair=None):
     """Returns the contacts of shapes a and b, one for each position x (n, 3) and rotation q (n, 4), a → b."""
-    of_pair = of_pair or nonconvex_pairs.pair_function(type(a), type(b))
+    of_pair = of_pair or pair_dispatch.nonconvex_pair_function(type(a), type(b))
     P_a, P_b = (coefficient_struct(type(s), wp.float64) for s in (a, b))
 
     @wp.kernel(module="unique", enable_backward=False)

@@ -7,10 +7,10 @@ import warp as wp
 from convex_pairs import directions, heights, random_rotations, random_shapes
 from nonconvex_pairs import Quadric, inverse_rotation, rotated
 from parametric_reference import GRID, Reference
+from warpcontact.kernels import shapes as S
 from warpcontact.kernels.catalogue.device_model import parameter
-from warpcontact.kernels.shapes import shapes as S
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
 # A point counts as nearer if its distance is smaller by more than TIE. The solver returns one of several minima

@@ -11,9 +11,9 @@ import numpy as np
 import warp as wp
 from convex_pairs import packed
 from superellipsoid_distance import distance_lower_bound
+from warpcontact.kernels import shapes as S
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
-from warpcontact.kernels.shapes import shapes as S
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels.shapes.revolution import Torus
 
 vec5d = wp.types.vector(5, wp.float64)
 # Shapes with their sizes, in the order of the coefficients.

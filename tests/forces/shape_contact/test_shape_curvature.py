@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import warp as wp
 from nonconvex_pairs import Quadric, packed, shape_contacts, signed_distance
+from warpcontact.kernels import shapes
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.laws.hertz import elliptic_stiffness, stiffness_per_modulus
-from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.base import Curvature, ShapeContactPoint
 from warpcontact.kernels.shapes.curvature import PairCurvature, curvature, pair_curvature
 from warpcontact.kernels.shapes.pair_dispatch import pair_function
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels.shapes.revolution import Torus
 
 S = shapes
 INF = np.inf

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import warp as wp
 from nonconvex_pairs import Quadric, inverse_rotation, packed, random_rotations, rotated, shape_contacts
+from warpcontact.kernels import shapes
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
-from warpcontact.kernels.shapes import derivatives, shapes
+from warpcontact.kernels.shapes import derivatives
 from warpcontact.kernels.shapes.base import ShapeContactPoint
 from warpcontact.kernels.shapes.curvature import pair_curvature
 from warpcontact.kernels.shapes.derivatives import Gradients
 from warpcontact.kernels.shapes.pair_dispatch import pair_function
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels.shapes.revolution import Torus
 
 S = shapes
 COUNT = 12

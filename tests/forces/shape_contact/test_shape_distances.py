@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import warp as wp
 from convex_pairs import random_shapes
+from warpcontact.kernels import shapes as S
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
-from warpcontact.kernels.shapes import shapes as S
 from warpcontact.kernels.shapes.signed_distance import signed_distance, signed_distance_within
 
 

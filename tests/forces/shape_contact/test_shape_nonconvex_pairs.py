@@ -16,11 +16,12 @@ from nonconvex_pairs import (
     signed_distance,
 )
 from scipy.spatial import cKDTree
+from warpcontact.kernels import shapes
 from warpcontact.kernels.catalogue.device_model import coefficient_struct, parameter
-from warpcontact.kernels.shapes import nonconvex_pairs, shapes
+from warpcontact.kernels.shapes import pair_dispatch
 from warpcontact.kernels.shapes import signed_distance as nearest
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface, parametric_jet
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
 import warpcontact as wc
@@ -437,6 +438,6 @@ def test_invalid_parametric_surface_class_is_refused():
     with pytest.raises(TypeError, match=r"Steep\.derivatives must be a wp\.func of \(p, u, v\)"):
         type("Steep", (ParametricSurface,), {"derivatives": 1})
     with pytest.raises(TypeError, match=r"two parametric surfaces, Tube and Quadric, cannot be in contact"):
-        nonconvex_pairs.pair_function(Tube, Quadric)
+        pair_dispatch.nonconvex_pair_function(Tube, Quadric)
     with pytest.raises(ValueError, match=r"Torus\.minor_radius must be less than the major radius, got 0\.5 m"):
         Torus(0.5, 0.5)

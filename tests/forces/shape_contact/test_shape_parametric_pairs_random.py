@@ -4,8 +4,8 @@ import pytest
 from convex_pairs import solved
 from parametric_pairs import PATCHES, Bore, Quadric, Tube, Waves, check_points, classify_contacts, random_pairs
 from parametric_reference import SIZES
-from warpcontact.kernels.shapes import shapes as S
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels import shapes as S
+from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.kernels.types import MET
 
 COMBINATIONS = [(A, P) for A in SIZES for P in PATCHES if A not in (S.Plane, S.Superellipsoid)]

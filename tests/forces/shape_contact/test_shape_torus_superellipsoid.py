@@ -7,8 +7,8 @@ from convex_pairs import directions, heights, random_rotations, random_shapes, s
 from nonconvex_pairs import inverse_rotation, rotated
 from parametric_pairs import support
 from superellipsoid_distance import distance_lower_bound, separation
-from warpcontact.kernels.shapes import shapes as S
-from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels import shapes as S
+from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED
 
 # Tolerance of the signed distance: larger than rounding of the support function, whose powers go up to 20.

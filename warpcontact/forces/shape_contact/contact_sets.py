@@ -20,7 +20,7 @@ from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.shapes import force, history, measures, narrow_phase
+from warpcontact.kernels.shapes import force, measures, narrow_phase
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.records import (
     CURVATURE_ARRAYS,
@@ -144,7 +144,7 @@ class ShapeContactSet(ForceElement):
             self.parts.needs_surface_axes,
         )
         # Joints affect only the effective mass.
-        self.kernel = force.kernel(self.parts, self.real, context.has_joints and self.parts.law.needs_mass)
+        self.kernel = force.contact_forces(self.parts, self.real, context.has_joints and self.parts.law.needs_mass)
         self._declare(context.layout)
         self.first_end = 2 * context.ends.add(self.bodies)
         self._add_settings(context.parameters)
@@ -303,10 +303,10 @@ class ShapeContactSet(ForceElement):
         """Returns the launches that store warm starts and advance the history after an accepted step."""
         status = plan.model.arrays.status
         inputs = [status, self.new_warm_starts, self.warm_starts, self.shape_contacts]
-        launches = plan.prepare(history.accept(self.real), self.count, inputs)
+        launches = plan.prepare(force.accept_contacts(self.real), self.count, inputs)
         for formula, memory, history_out in self.memories():
             launches += plan.prepare(
-                history.advance(formula, self.real), self.count, [status, history_out, memory]
+                force.advance_history(formula, self.real), self.count, [status, history_out, memory]
             )
         return launches
 
@@ -314,7 +314,7 @@ class ShapeContactSet(ForceElement):
         """Clears warm starts and history in the environments of the mask ``chosen`` [env]."""
         shape, device = (len(chosen), self.count), chosen.device
         wp.launch(
-            history.reset(self.real),
+            force.reset_contacts(self.real),
             dim=shape,
             inputs=[chosen, self.warm_starts, self.shape_contacts],
             device=device,

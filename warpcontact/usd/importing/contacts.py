@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels import shapes
 from warpcontact.meshes import sample_surface
 from warpcontact.scene.elements import Body, ContactMaterial, Points, Surface
 from warpcontact.scene.scene_data import SceneData

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels import shapes
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.meshes import Mesh, MeshError, icosphere
 from warpcontact.meshes.repair import repaired

@@ -20,7 +20,7 @@ def perpendicular(n: vec3d):
     return wp.normalize(vec3d(-n[1], n[0], zero))
 
 
-class Functions(NamedTuple):
+class SeparationFunctions(NamedTuple):
     """Structs and the device function of the separation of a pair of shape classes."""
 
     Separation: Struct  # separation along a direction, with points and curvatures
@@ -34,7 +34,7 @@ class Functions(NamedTuple):
 
 
 @functools.cache
-def functions(A: type[Shape], B: type[Shape]) -> Functions:
+def separation_functions(A: type[Shape], B: type[Shape]) -> SeparationFunctions:
     """Returns the struct ``Separation`` of a pair and the device functions that use it."""
     CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
     kink_count, kink_count_a = A.kinks + B.kinks, A.kinks
@@ -84,7 +84,7 @@ def functions(A: type[Shape], B: type[Shape]) -> Functions:
                 separation.value -= wp.abs(separation.kink_values[i])
         return separation
 
-    return Functions(
+    return SeparationFunctions(
         Separation=Separation,
         KinkMatrix=KinkMatrix,
         KinkVector=KinkVector,
