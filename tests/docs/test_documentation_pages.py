@@ -1,5 +1,7 @@
 """The documentation site contains every example, every public name and every page."""
 
+import html
+import importlib
 import re
 import sys
 from pathlib import Path
@@ -8,7 +10,8 @@ import pytest
 
 import warpcontact as wc
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
 
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="the site is in a checkout, not in an installed package")
 
@@ -77,3 +80,22 @@ def test_every_documentation_page_is_listed_once():
     listed = re.findall(r"^- \[[^\]]+\]\((?!\.\.)([^)]+)\)", index, re.MULTILINE)
     pages = [path.relative_to(DOCS).as_posix() for path in (*DOCS.glob("*.md"), *DOCS.glob("api/*.rst"))]
     assert sorted(listed) == sorted(set(pages) - {"index.md"})
+
+
+def test_every_source_path_in_the_pages_exists():
+    pages = [*DOCS.glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+    missing = [
+        f"{page.name}: {path}"
+        for page in pages
+        for path in re.findall(
+            r"`((?:warpcontact|kernels|tests|benchmarks|docs)/[\w/.]*)`", page.read_text("utf-8")
+        )
+        if not (ROOT / path).exists()
+    ]
+    assert missing == []
+
+
+def test_package_drawing_shows_the_present_imports(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    drawn = html.unescape((DOCS / "images" / "packages.svg").read_text("utf-8"))
+    assert importlib.import_module("package_graph").description() in drawn, "run python docs/package_graph.py"
