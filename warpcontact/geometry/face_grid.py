@@ -17,6 +17,7 @@ from warpcontact.algebra.vectors import bounds
 from warpcontact.kernels.narrowphase.face_grid import LIST_ALIGNMENT, LIST_STRIDE
 from warpcontact.kernels.types import SIDE_KNOWN_NOWHERE, Structs
 from warpcontact.storage.allocation_plan import AllocationPlan
+from warpcontact.system.launches import launch_kernel
 
 if TYPE_CHECKING:
     from warpcontact.geometry.query_mesh import QueryMesh, QueryMeshes
@@ -152,8 +153,16 @@ def declare_grids(
 
         used = wp.zeros(len(grids), dtype=wp.int32, device=device)
         for query_mesh, grid in enumerate(grids):
-            own = used[query_mesh : query_mesh + 1]
-            inputs = [model, query_mesh, grid.radius, first_place[query_mesh], grid.places, own]
-            wp.launch(fill_face_grid.kernel(t.real), grid.cells, inputs, device=device)
+            launch_kernel(
+                fill_face_grid.kernel(t.real),
+                grid.cells,
+                device=device,
+                model=model,
+                query_mesh=query_mesh,
+                reach=grid.radius,
+                first=first_place[query_mesh],
+                face_capacity=grid.places,
+                used_units=used[query_mesh : query_mesh + 1],
+            )
 
     layout.custom("surfaces", sum(grid.bytes for grid in rows), make)

@@ -22,6 +22,7 @@ from warpcontact.storage.allocation_plan import broadcast
 from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.storage.parameters import DeviceField, Parameter, parameter_memory
 from warpcontact.system.capture_lock import shared_capture_lock
+from warpcontact.system.launches import launch_kernel
 
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
@@ -242,26 +243,24 @@ class DeviceModel(Environments, SceneTraits):
 
         a = self.arrays
         chosen = wp.array(mask, dtype=wp.bool, device=self.device)
-        wp.launch(
+        launch_kernel(
             reset.environments(self.types.real),
-            dim=self.envs,
-            inputs=[
-                chosen,
-                self.body_count,
-                self.contact_count,
-                self.clusters.count,
-                self.clusters.set_count,
-                a.initial,
-                a.status,
-                a.guard.cause,
-                a.time,
-                a.state,
-                a.history,
-                a.cache,
-                a.active_contacts,
-                a.wrenches,
-            ],
+            self.envs,
             device=self.device,
+            mask=chosen,
+            bodies=self.body_count,
+            contacts=self.contact_count,
+            clusters=self.clusters.count,
+            sets=self.clusters.set_count,
+            initial=a.initial,
+            status=a.status,
+            cause=a.guard.cause,
+            time=a.time,
+            state=a.state,
+            history=a.history,
+            cache=a.cache,
+            active_contacts=a.active_contacts,
+            wrenches=a.wrenches,
         )
         for element in self.force_elements:
             element.reset_state(chosen)

@@ -12,6 +12,7 @@ from warpcontact.algebra.poses import transform_points
 from warpcontact.drawing.drawing import Drawing, Figure
 from warpcontact.drawing.triangles import ball
 from warpcontact.kernels.rendering.world import SPHERE, visibility
+from warpcontact.system.launches import launch_kernel
 from warpcontact.validation.checks import Array
 from warpcontact.visualize.rendering.stage import Items, Stage, bounds, is_static, place_figure, turned_axes
 
@@ -245,17 +246,15 @@ class Visibility:
             points = (panel.centres[inside] - self._origin) / self._unit
             is_visible = wp.zeros(len(points), dtype=wp.uint8, device=self._device)
             if len(points):
-                wp.launch(
+                launch_kernel(
                     visibility(),
-                    dim=len(points),
-                    inputs=[
-                        world.struct,
-                        wp.vec3(*((eye - self._origin) / self._unit).tolist()),
-                        wp.array(points, dtype=wp.vec3, device=self._device),
-                        wp.array(radii, dtype=wp.float32, device=self._device),
-                    ],
-                    outputs=[is_visible],
+                    len(points),
                     device=self._device,
+                    world=world.struct,
+                    eye=wp.vec3(*((eye - self._origin) / self._unit).tolist()),
+                    points=wp.array(points, dtype=wp.vec3, device=self._device),
+                    radii=wp.array(radii, dtype=wp.float32, device=self._device),
+                    visible=is_visible,
                 )
             visible = np.zeros(inside.shape)
             visible[inside] = is_visible.numpy()

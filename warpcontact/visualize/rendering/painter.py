@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from warpcontact.drawing.colors import linear
 from warpcontact.kernels.rendering.paint import Backdrop, Grid, Light, View, kernel
 from warpcontact.system.compilation import compile_as_launched
+from warpcontact.system.launches import in_order
 from warpcontact.system.resources import available_threads
 from warpcontact.validation.checks import Array
 from warpcontact.visualize.rendering.camera import Camera, direction, extend_planes
@@ -67,16 +68,16 @@ class Painter:
         view, light = _view(camera, unit, width, height, samples), light_of(camera)
         pixels = wp.empty((width * height, 3), dtype=wp.uint8, device=device)
         grid = _grid(camera, height)
-        inputs = [view, *(world.struct for world in worlds), light, grid, self._backdrop]
+        inputs = {"view": view, "light": light, "grid": grid, "backdrop": self._backdrop, "picture": pixels}
+        inputs |= {name: world.struct for name, world in zip(("world", "marks"), worlds, strict=True)}
         paint = kernel()
         compile_as_launched(paint, device)
         rows = height if device.is_cuda else _ROWS
         launches = []
         for first in range(0, width * height, rows * width):
             count = min(rows * width, width * height - first)
-            launches.append(
-                wp.launch(paint, dim=count, inputs=[first, *inputs, pixels], device=device, record_cmd=True)
-            )
+            values = in_order(paint, {"first": first, **inputs})
+            launches.append(wp.launch(paint, dim=count, inputs=values, device=device, record_cmd=True))
         if device.is_cuda or self._threads < 2:
             for launch in launches:
                 launch.launch()
