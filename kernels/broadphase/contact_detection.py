@@ -24,7 +24,7 @@ from warpcontact.kernels.narrowphase.closest_point import (
     MIN_CLEARANCE_FRACTION,
     TRACKED,
 )
-from warpcontact.kernels.narrowphase.side_regions import side_clearance as side_clearance_of
+from warpcontact.kernels.narrowphase.face_grid import side_clearance_function
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
@@ -74,7 +74,7 @@ def functions(real: type, tracks: bool, part: str) -> Functions:
     max_coordinate, query_error = search_functions.max_coordinate, search_functions.query_error
     refine_closest = search_functions.refine_closest
     closest_in_bvh, rounding_error = bvh_functions.closest_in_bvh, bvh_functions.rounding_error
-    side_clearance, cell_at = side_clearance_of(real), face_grid.functions(real).cell_at
+    side_clearance, cell_at = side_clearance_function(real), face_grid.functions(real).cell_at
     closest_on_face, is_inside = (
         closest_points.functions(real).closest_on_face,
         closest_points.functions(real).is_inside,

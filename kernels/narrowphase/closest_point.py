@@ -16,7 +16,7 @@ from warpcontact.kernels import frames, rotations
 from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.narrowphase import bvh_search, face_cache, face_grid, search
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
-from warpcontact.kernels.narrowphase.side_regions import side_clearance as side_clearance_of
+from warpcontact.kernels.narrowphase.face_grid import side_clearance_function
 from warpcontact.kernels.types import (
     BOUNDARY_OUTER,
     CACHED_FACES_GPU,
@@ -124,7 +124,7 @@ def functions(real: type, tracks: bool, part: str) -> Functions:
         bvh_functions.cache_faces_near,
     )
     cell_at, closest_in_cell = face_grid.functions(real).cell_at, face_grid.functions(real).closest_in_cell
-    side_clearance = side_clearance_of(real)
+    side_clearance = side_clearance_function(real)
     frame = frames.functions(real)
     offset_between, rotate_to_world, matrix = (
         frame.offset_between,

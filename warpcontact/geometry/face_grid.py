@@ -1,7 +1,7 @@
 """Face grids: size and resolution of the uniform grids around query meshes, used on GPUs.
 
 Each cell stores its clearance and the faces that may be nearest to a point in it. The grids are filled by
-``kernels/narrowphase/fill_face_grid.py``.
+``kernels/narrowphase/face_grid.py``.
 """
 
 from collections.abc import Sequence
@@ -149,12 +149,12 @@ def declare_grids(
         if grids is None:
             return
         # Imported on demand, because Warp parses kernel functions on import.
-        from warpcontact.kernels.narrowphase import fill_face_grid
+        from warpcontact.kernels.narrowphase.face_grid import fill_cells
 
         used = wp.zeros(len(grids), dtype=wp.int32, device=device)
         for query_mesh, grid in enumerate(grids):
             launch_kernel(
-                fill_face_grid.kernel(t.real),
+                fill_cells(t.real),
                 grid.cells,
                 device=device,
                 model=model,
