@@ -1,7 +1,7 @@
 """Traversal of the eight-wide BVH of a query mesh on a CPU, eight children per instruction.
 
 Each child is bounded by a disk with a thickness. ``warpcontact/geometry/bvh.py`` builds the BVH; ``bvh_search.py``
-searches faces with it.
+searches faces with it. Queries of ``wp.Mesh`` are slower on a CPU: ``docs/scheduling.md`` has the figures.
 """
 
 import functools
