@@ -2,6 +2,7 @@
 
 ``.. catalogue:: warpcontact.laws`` documents all public names of a module. For laws, friction models, springs, joints
 and shapes it adds the declarations of their classes: formula, source, validity, parameters with units and limits.
+``.. force-elements::`` lists the families of force elements in launch order, with the arguments of their elements.
 """
 
 import dataclasses
@@ -21,6 +22,8 @@ from warpcontact.kernels.catalogue.device_model import Formula
 
 import warpcontact
 from warpcontact.cli.law_list import PROVENANCE
+from warpcontact.forces import registry
+from warpcontact.scene.scene_element import SceneElement
 
 
 def declared(formula: type[Formula]) -> list[str]:
@@ -41,6 +44,16 @@ def declared(formula: type[Formula]) -> list[str]:
     if formula.validity:
         lines += [f"*Holds for*: {formula.validity}.", ""]
     return lines
+
+
+def declared_arguments(kind: type[SceneElement]) -> list[str]:
+    """Returns the arguments of an element of a registered family as lines of reStructuredText."""
+    lines = [""]
+    for field in kind.arguments():
+        of = kind.kind_of(field)
+        text = described(field) if "unit" in field.metadata else "true or false" if of is bool else of.__name__
+        lines.append(f":param {field.name}: {text}")
+    return [*lines, ""]
 
 
 def described(field: "dataclasses.Field[Any]") -> str:
@@ -65,6 +78,8 @@ def describe(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: l
     lines[:] = map(plain, lines)
     if inspect.isclass(obj) and issubclass(obj, Formula) and dataclasses.fields(obj):
         lines += declared(obj)
+    if inspect.isclass(obj) and issubclass(obj, SceneElement):
+        lines += declared_arguments(obj)
 
 
 def shorten(
@@ -101,6 +116,31 @@ class Catalogue(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines))
 
 
+def force_elements() -> list[str]:
+    """Returns the families of force elements, in launch order, as lines of reStructuredText."""
+    lines: list[str] = []
+    for number, family in enumerate(registry.families(), 1):
+        home = importlib.import_module(family.home)
+        lines += [f"{number}. **{family.name}** (``{family.home}``): {summary(home)}", ""]
+        if family.kind is not None:
+            lines += [f"   .. autoclass:: {family.kind.__module__}.{family.kind.__qualname__}", ""]
+    return lines
+
+
+def summary(module: Any) -> str:
+    """Returns the first sentence of the docstring of a module."""
+    return plain(" ".join((inspect.getdoc(module) or "").split())).partition(". ")[0].rstrip(".") + "."
+
+
+class ForceElements(SphinxDirective):
+    """Lists the families of force elements."""
+
+    def run(self) -> list[nodes.Node]:
+        """Returns the nodes of the list."""
+        self.env.note_dependency(inspect.getfile(registry))
+        return self.parse_text_to_nodes("\n".join(force_elements()))
+
+
 def ordered(module: Any) -> list[str]:
     """Returns the public names of a module that the package does not export itself, catalogues in their order."""
     names = [name for name in module.__all__ if name not in warpcontact.__all__]
@@ -117,6 +157,7 @@ def ordered(module: Any) -> list[str]:
 def setup(app: Sphinx) -> dict[str, Any]:
     """Registers the extension with Sphinx."""
     app.add_directive("catalogue", Catalogue)
+    app.add_directive("force-elements", ForceElements)
     app.connect("autodoc-process-docstring", describe, priority=600)
     app.connect("autodoc-process-signature", shorten)
     return {"parallel_read_safe": True}

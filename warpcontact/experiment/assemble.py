@@ -9,6 +9,7 @@ from warpcontact import meshes
 from warpcontact.building.scene import Scene
 from warpcontact.experiment.catalogue import DeviceModelSettings, FileMesh, Section, ShapeMesh
 from warpcontact.experiment.errors import Problems
+from warpcontact.experiment.force_elements import ForceElementSettings
 from warpcontact.experiment.parser import ExperimentParts
 from warpcontact.experiment.rows_file import read_rows
 from warpcontact.experiment.schema import (
@@ -16,7 +17,6 @@ from warpcontact.experiment.schema import (
     BodiesSettings,
     BodySettings,
     ContactCouplingSettings,
-    ContactOptions,
     ContactSettings,
     CouplingOptions,
     MaterialSettings,
@@ -116,6 +116,7 @@ class SceneBuilder:
             "shape": lambda path, entry: self._shape(scene, path, entry, problems),
             "shape_contact": lambda path, entry: self._shape_contact(scene, path, entry, problems),
             "particle_contact": lambda path, entry: self._particle_contact(scene, path, entry, problems),
+            "force_element": lambda path, entry: self._force_element(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -270,10 +271,16 @@ class SceneBuilder:
         options = entry.model_dump(exclude={"shapes", "material", "exclude"})
         return scene.add_particle_contact(shapes, material, exclude=pairs, **options)
 
+    def _force_element(self, scene: Scene, path: str, entry: ForceElementSettings, problems: Problems) -> Any:
+        targets = self._find_all(path, entry, entry.references, problems)
+        values = entry.model_dump(exclude={"type", *entry.references}, exclude_none=True)
+        references = dict(zip(entry.references, targets, strict=True))
+        return scene.add_force_element(entry.kind, **references, **values)
+
     def _find_all(
         self,
         path: str,
-        entry: ContactOptions | CouplingOptions | ContactCouplingSettings | ShapeContactSettings,
+        entry: Section,
         references: Mapping[str, tuple[str, tuple[str, ...]]],
         problems: Problems,
     ) -> list[Any]:

@@ -79,10 +79,7 @@ def _try_build(
 
 def _classes(scene: Scene) -> set[type[Formula]]:
     """Returns the classes of all laws, friction models, springs, shapes and joints in ``scene``."""
-    formulas = [f for contact in scene.contacts for f in contact.material.formulas.values()]
-    formulas += [f for coupling in scene.couplings for f in coupling.formulas.values()]
-    formulas += [f for contact in scene.shape_contacts for f in contact.formulas.values()]
-    formulas += [f for contact in scene.particle_contacts for f in contact.formulas.values()]
+    formulas = [f for one in scene.elements() for f in getattr(one, "formulas", {}).values()]
     kinds = {kind for contact in scene.shape_contacts for kind in contact.kinds}
     return kinds | {type(formula) for formula in (*formulas, *(body.motion for body in scene.bodies))}
 

@@ -199,7 +199,7 @@ def settings_model(formula: type[Formula]) -> type[DeviceModelSettings]:
         allowed = formula.limits(field.name)
         default = ... if field.default is dataclasses.MISSING else field.default
         fields[field.name] = (
-            _kind_of(allowed),
+            number_type(allowed),
             Field(
                 default,
                 description=f"{allowed['meaning']} [{allowed['unit']}]",
@@ -211,7 +211,7 @@ def settings_model(formula: type[Formula]) -> type[DeviceModelSettings]:
     return model
 
 
-def _kind_of(allowed: Any) -> Any:
+def number_type(allowed: Any) -> Any:
     """Returns the pydantic type of a parameter with these limits."""
     shape = allowed["shape"]
     if shape == ():

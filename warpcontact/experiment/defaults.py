@@ -30,11 +30,13 @@ def default_sensors(model: Environments, *, with_gap: bool = False) -> list[str]
     """
     scene = model.scene
     depth = "gap" if with_gap else "penetration"
+    sensors: list[tuple[str, tuple[str, ...]]]
     sensors = [(contact.name, (depth, "normal_force")) for contact in scene.contacts if contact.points.single]
     sensors += [(contact.name, ("gap", "normal_force")) for contact in scene.shape_contacts if contact.single]
     sensors += [(contact.name, ("contacts", "max_penetration")) for contact in scene.particle_contacts]
     sensors += [(coupling.name, _COUPLING_SENSORS[type(coupling)]) for coupling in scene.couplings]
     sensors += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
+    sensors += [(element.name, element.recorded) for element in scene.force_elements]
     # For sets only sums over all items are recorded by default.
     joints = [f"{body.name}.{key}" for body in scene.bodies if body.single for key in ("angle", "displacement")]
     names = [f"{name}.{key}" for name, keys in sensors for key in keys]

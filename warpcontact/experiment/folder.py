@@ -12,6 +12,7 @@ from typing import Any
 from warpcontact._version import __version__
 from warpcontact.experiment.catalogue import DeviceModelSettings, FileMesh, Section, ShapeMesh, user_class
 from warpcontact.experiment.errors import ExperimentError, abbreviated
+from warpcontact.experiment.force_elements import ForceElementSettings
 from warpcontact.experiment.lock import is_locked, locked_error
 from warpcontact.experiment.observation import OutcomeSettings
 from warpcontact.experiment.records import COMMITS, DATA, STAGING
@@ -224,7 +225,7 @@ def copy_experiment(settings: Settings, old: Path, new: Path, user_files: UserFi
     names: dict[Path, str] = {}
     files: dict[str, bytes] = {}
 
-    def with_file(table: DeviceModelSettings | OutcomeSettings) -> Section:
+    def with_file(table: DeviceModelSettings | OutcomeSettings | ForceElementSettings) -> Section:
         file, cls = user_class(table.type)
         if not file:
             return table
@@ -244,6 +245,7 @@ def copy_experiment(settings: Settings, old: Path, new: Path, user_files: UserFi
     sections: dict[str, Any] = {
         name: tuple(map(renamed, getattr(settings, name))) for name in DEVICE_MODEL_SECTIONS
     }
+    sections["force_element"] = tuple(map(with_file, settings.force_element))
     sections["outcome"] = {name: with_file(table) for name, table in settings.outcome.items()}
     whole = settings.model_copy(update=sections)
     moved = _with_rows_from(_with_meshes_from(whole, old, new), old, new)

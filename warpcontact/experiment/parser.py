@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from warpcontact.experiment.catalogue import Section
 from warpcontact.experiment.errors import ExperimentError, Problems, abbreviated, key_path
-from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSettings, table_at
+from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSettings, entry_model, table_at
 from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation_settings import MOST_ENVS, grid_size
 from warpcontact.files.run_folder import read_file
@@ -74,7 +74,7 @@ class ExperimentParts:
     def from_invalid(cls, raw: Mapping[str, Any], wrong: Set[Any], user_files: UserFiles) -> "ExperimentParts":
         """Returns the valid parts of ``raw``; ``wrong`` are the keys of its first level with a problem."""
         parts = cls()
-        for section, model in SECTIONS.items():
+        for section in SECTIONS:
             entries = raw.get(section, ())
             if not isinstance(entries, list | tuple):
                 entries = [entries]
@@ -84,7 +84,7 @@ class ExperimentParts:
                     parts.names[section].add(name)
                 else:
                     parts.unnamed.add(section)
-                entry_settings = _validated(model, entry, user_files)
+                entry_settings = _validated_entry(section, entry, user_files)
                 if entry_settings is not None:
                     parts.entries[section][i] = entry_settings
                 elif isinstance(entry, dict):
@@ -117,6 +117,14 @@ class ExperimentParts:
         for section in SECTIONS:
             for i, entry in self.entries[section].items():
                 yield section, f"{section}[{i}]", entry
+
+
+def _validated_entry(section: str, entry: Any, user_files: UserFiles) -> Any:
+    try:
+        model = entry_model(section, entry, user_files)
+    except ValueError:
+        return None
+    return _validated(model, entry, user_files)
 
 
 def _validated(model: type[Section], raw: Any, user_files: UserFiles) -> Any:

@@ -20,6 +20,7 @@ from warpcontact.experiment.catalogue import (
     mesh_model,
     settings_model,
 )
+from warpcontact.experiment.force_elements import ForceElementSettings, ForceElementTable, force_element_model
 from warpcontact.experiment.integration import IntegratorSettings
 from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation_settings import (
@@ -388,6 +389,7 @@ class Settings(Section):
     spring_damper: Rows[SpringDamperSettings] = ()
     bushing: Rows[BushingSettings] = ()
     catenary: Rows[CatenarySettings] = ()
+    force_element: Rows[ForceElementTable] = ()
     variation: dict[str, VariationSettings] = Field(default_factory=dict)
     sampling: SamplingSettings = Field(default_factory=SamplingSettings)
     correlation: Rows[CorrelationSettings] = ()
@@ -417,6 +419,7 @@ SECTIONS: dict[str, type[Section]] = {
     "spring_damper": SpringDamperSettings,
     "bushing": BushingSettings,
     "catenary": CatenarySettings,
+    "force_element": ForceElementSettings,
 }
 
 
@@ -452,6 +455,11 @@ LISTS: dict[str, type[Section]] = {"correlation": CorrelationSettings}
 _TABLES: dict[str, type[Section]] = {"range": RangeSettings, "from_impact": ImpactSettings}
 
 
+def entry_model(section: str, entry: Any, user_files: UserFiles) -> type[Section]:
+    """Returns the type of an entry of a section of the scene; raises ``ValueError`` if the entry has none."""
+    return force_element_model(entry, user_files) if section == "force_element" else SECTIONS[section]
+
+
 def table_at(location: Sequence[str | int], raw: Any, user_files: UserFiles) -> type[Section]:
     """Returns the type of the table at ``location`` in ``raw``, a location of pydantic."""
     parts = [part for part in location if isinstance(part, str)]
@@ -463,6 +471,8 @@ def table_at(location: Sequence[str | int], raw: Any, user_files: UserFiles) -> 
         return observation.StopSettings
     if parts[0] == "outcome":
         return observation.outcome_model(raw["outcome"][parts[1]], user_files)
+    if parts[0] == "force_element" and len(location) > 1:
+        return force_element_model(list(raw["force_element"])[int(location[1])], user_files)
     if len(parts) == 1:
         return (SECTIONS | _SINGLE | LISTS)[parts[0]]
     if parts[1] in _TABLES and parts[0] == "contact_coupling":

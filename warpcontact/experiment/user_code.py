@@ -32,10 +32,13 @@ from warpcontact.kernels.joints import Motion
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.kernels.shapes.base import Shape
+from warpcontact.scene.scene_element import SceneElement
 from warpcontact.validation.checks import check_length
 
 #: Base classes of user-defined classes.
-KINDS: tuple[type, ...] = (Law, Friction, Spring, Damper, Motion, Shape, Outcome)
+KINDS: tuple[type, ...] = (Law, Friction, Spring, Damper, Motion, Shape, Outcome, SceneElement)
+# Names of base classes in messages, if they differ from the public name of the class.
+_BASE_NAMES = {Shape: "wc.ParametricSurface", SceneElement: "SceneElement of warpcontact.scene.scene_element"}
 
 # Modules by path and content, so that experiments with an unchanged file share its classes and compiled kernels.
 _MODULES: dict[tuple[Path, bytes], ModuleType] = {}
@@ -134,9 +137,7 @@ class UserFiles:
             raise ValueError(f": {file} has no {_kind_names(bases)} {name!r}{hint}")
         if not _is_formula(given, bases):
             kinds = [kind for kind in KINDS if _is_formula(given, (kind,))]
-            derived = " or ".join(
-                "wc.ParametricSurface" if base is Shape else f"wc.{base.__name__}" for base in bases
-            )
+            derived = " or ".join(_BASE_NAMES.get(base, f"wc.{base.__name__}") for base in bases)
             fact = (
                 f"a {_kind_names(kinds)} and no {_kind_names(bases)}"
                 if kinds
@@ -232,7 +233,7 @@ def _untrusted(folder: Path, names: list[str]) -> TrustError:
 
 
 def _kind_names(bases: Iterable[type]) -> str:
-    return " or ".join(base.__name__.lower() for base in bases)
+    return " or ".join("force element" if base is SceneElement else base.__name__.lower() for base in bases)
 
 
 def _is_formula(value: object, bases: tuple[type, ...]) -> bool:

@@ -27,6 +27,7 @@ from warpcontact.scene.couplings import (
     SpringDamper,
 )
 from warpcontact.scene.elements import Points, Surface
+from warpcontact.scene.scene_element import check_ends
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
@@ -305,17 +306,7 @@ class Couplings:
                 raise ValueError(
                     f"{name}.{key} must come from add_point of this scene, got {checks.element(point)}"
                 )
-            if not point.single:
-                raise ValueError(
-                    f"{name}.{key} must be one point, from add_point, got the {len(point.positions)} points of "
-                    f"{point.name!r}"
-                )
-        if point_a.body is point_b.body:
-            where = f"body {point_a.body.name!r}" if point_a.body else "the world"
-            raise ValueError(
-                f"{name}: point_a and point_b are both fixed to {where}; they must be on two bodies, or on one "
-                "and the world"
-            )
+        check_ends(name, point_a, point_b)
 
 
 def place_of(point: Points) -> Array:

@@ -1,7 +1,7 @@
-"""Data of a scene: bodies, surfaces, points, shapes, contacts and couplings; checks all user input.
+"""Data of a scene: bodies, surfaces, points, shapes and force elements; checks all user input.
 
-``SceneData`` combines the mixins of ``add_bodies.py``, ``add_couplings.py``, ``add_shapes.py`` and
-``add_particles.py``. Users get its subclass ``Scene`` (``building/scene.py``), which builds models and imports USD.
+``SceneData`` combines the mixins of the modules ``add_*.py``. Users get its subclass ``Scene``
+(``building/scene.py``), which builds models and imports USD.
 """
 
 import copy
@@ -19,6 +19,7 @@ from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 from warpcontact.scene.add_bodies import Bodies
 from warpcontact.scene.add_couplings import Couplings
+from warpcontact.scene.add_force_elements import ForceElements
 from warpcontact.scene.add_particles import ParticleContacts
 from warpcontact.scene.add_shapes import ShapeContacts
 from warpcontact.scene.couplings import Coupling
@@ -36,6 +37,7 @@ from warpcontact.scene.elements import (
 )
 from warpcontact.scene.mesh_arguments import active_of_each, check_areas, check_arms, mesh_of, options_of
 from warpcontact.scene.particles import ParticleContact
+from warpcontact.scene.scene_element import SceneElement
 from warpcontact.scene.shapes import Shape, ShapeContact
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
@@ -53,6 +55,7 @@ _LISTS = (
     "shapes",
     "shape_contacts",
     "particle_contacts",
+    "force_elements",
 )
 
 
@@ -63,7 +66,7 @@ MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
 
 @explain_renamed
 @explain_keywords_of
-class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts):
+class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, ForceElements):
     """Bodies, surfaces, shapes, points, contacts and couplings of one environment; base class of ``Scene``.
 
     Args:
@@ -92,6 +95,7 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts):
         self.shapes: list[Shape] = []
         self.shape_contacts: list[ShapeContact] = []
         self.particle_contacts: list[ParticleContact] = []
+        self.force_elements: list[SceneElement] = []
         self._elements: dict[str, Any] = {}
         self.import_warnings: tuple[str, ...] = ()
         self.suggested_dt: float | None = None
@@ -105,6 +109,7 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts):
             "shapes": self.shapes,
             "contacts": [*self.contacts, *self.shape_contacts, *self.particle_contacts, *self.contact_couplings],
             "couplings": self.couplings,
+            "force elements": self.force_elements,
         }
         texts = [f"{kind}: {', '.join(one.name for one in some)}" for kind, some in kinds.items() if some]
         return f"<Scene of {textwrap.shorten('; '.join(texts) or 'nothing yet', 200, placeholder=' …')}>"

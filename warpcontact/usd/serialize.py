@@ -25,6 +25,7 @@ from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
 from warpcontact.scene.elements import Body, Contact, Points, Surface
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.scene_data import SceneData
+from warpcontact.scene.scene_element import SceneElement
 from warpcontact.scene.shapes import Shape, ShapeContact
 from warpcontact.validation.checks import Array
 
@@ -55,6 +56,8 @@ ADDERS = {
     "shape_contact": "add_shape_contact",
     "particle_contact": "add_particle_contact",
 }
+#: Kind of the elements that ``Scene.add_force_element`` adds; the argument ``type`` is the name of their class.
+FORCE_ELEMENT = "force_element"
 #: Arguments that are booleans but stored as 0 or 1.
 SWITCHES = ("enabled", "tension_only")
 # Arguments that are contained in another one: the meshes of a surface are stored as flipped.
@@ -117,7 +120,7 @@ class ElementCall:
     """Element as the call that adds it.
 
     Attributes:
-        kind: One of ``ADDERS``.
+        kind: One of ``ADDERS``, or ``FORCE_ELEMENT``.
         name: Name of the element.
         arguments: Arguments by name, without those equal to their default. Numbers are Python numbers or arrays.
         rows: Names of the arguments with one entry per item of a set.
@@ -169,6 +172,10 @@ def element_calls(scene: SceneData) -> list[ElementCall]:
 
 
 def _element_call(element: Any) -> ElementCall:
+    if isinstance(element, SceneElement):
+        values = {field.name: getattr(element, field.name) for field in element.arguments()}
+        given = {name: _plain(name, value) for name, value in values.items() if value is not None}
+        return ElementCall(FORCE_ELEMENT, element.name, {"type": type(element).__name__, **given}, frozenset())
     kind, overrides, rows = _call_arguments(element)
     arguments = {}
     for name in argument_names(kind):

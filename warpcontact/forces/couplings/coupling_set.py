@@ -79,6 +79,7 @@ class CouplingSet(ForceElement, ABC):
         struct: Any,
         ranges: Mapping[str, Mapping[str, Any]],
         computed: Callable[[dict[str, Array]], dict[str, Array]] = lambda values: values,
+        converted: Mapping[str, Callable[[str, Array], Array]] = _CONVERTED,
     ) -> dict[str, Field]:
         """Adds attributes of the couplings as parameters, and the device field ``owner.settings``.
 
@@ -88,6 +89,7 @@ class CouplingSet(ForceElement, ABC):
             struct: Warp struct of the array elements.
             ranges: Allowed values, by attribute.
             computed: Returns the columns of the array for the values of the attributes.
+            converted: Conversions of attributes that are not stored as given.
 
         Returns:
             The fields, by attribute.
@@ -107,7 +109,7 @@ class CouplingSet(ForceElement, ABC):
                     allowed,
                     [device_field],
                     tail=fields[key].values.shape[2:],
-                    convert=_CONVERTED.get(key),
+                    convert=converted.get(key),
                 )
         return fields
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.forces.registry import element_kinds
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.contact.contact_evaluation import ContactModel
 from warpcontact.kernels.couplings.springs import Damper, Spring
@@ -21,7 +22,7 @@ from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.importing.findings import UsdError, shortened
 from warpcontact.usd.importing.stage import SCHEMA, Record
-from warpcontact.usd.serialize import ADDERS, Catalogue, argument_names, required_names
+from warpcontact.usd.serialize import ADDERS, FORCE_ELEMENT, Catalogue, argument_names, required_names
 
 _FORMULAS: dict[str, type[Formula]] = {
     "motion": Motion,
@@ -102,6 +103,8 @@ class _Restoration:
 
     def _element(self, scene: SceneData, record: Record) -> Any:
         kind, name = record["values"].get("kind"), record["values"].get("name")
+        if kind == FORCE_ELEMENT:
+            return self._force_element(scene, record)
         if kind not in ADDERS:
             raise ValueError(f"kind must be one of {', '.join(ADDERS)}, got {kind!r}")
         allowed = argument_names(kind)
@@ -128,6 +131,18 @@ class _Restoration:
         if "exclude" in given:
             given["exclude"] = _pairs(given["exclude"], given["shapes"])
         return getattr(scene, ADDERS[kind])(**given)
+
+    def _force_element(self, scene: SceneData, record: Record) -> Any:
+        """Adds an element of a registered family of force elements."""
+        values = {key: value for key, value in record["values"].items() if key != "kind"}
+        given, kinds = values.pop("type", None), element_kinds()
+        if given not in kinds:
+            raise ValueError(
+                f"type must be a registered force element ({', '.join(kinds) or 'there is none'}), got "
+                f"{shortened(given)}; import the module that registers it"
+            )
+        targets = {key: self._named(key, paths) for key, paths in record["targets"].items()}
+        return scene.add_force_element(kinds[given], **values, **targets)
 
     def _plain(self, key: str, value: Any) -> Any:
         if key in _ELEMENTS or key in _FORMULAS or key in ("material", "mesh", "shapes", "range"):

@@ -1,0 +1,153 @@
+"""Elements of registered families of force elements: their arguments are declared by the fields of their class.
+
+A family that has no method of ``Scene`` of its own derives its elements from ``SceneElement``. ``Scene.add_element``,
+experiment files and USD descriptions read the fields, so that they need no code for the family.
+"""
+
+import dataclasses
+import re
+from collections.abc import Iterator, Mapping
+from types import NoneType
+from typing import Any, ClassVar, dataclass_transform, get_args, get_type_hints
+
+from warpcontact.kernels.catalogue.device_model import parameter
+from warpcontact.kernels.catalogue.keywords import refuse_unknown
+from warpcontact.scene.elements import Body, Points, Surface
+from warpcontact.scene.shapes import Shape
+from warpcontact.validation import checks
+
+#: Elements to which a field can refer.
+REFERENCES: tuple[type, ...] = (Body, Surface, Points, Shape)
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter,))
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class SceneElement:
+    """Base of the elements of a registered family. Subclasses become frozen dataclasses with keyword arguments.
+
+    Fields are of three kinds: a number or vector, declared by ``wc.parameter`` with unit, meaning and range; a
+    boolean; or another element, annotated by its class: ``Points``, ``Body``, ``Surface`` or ``Shape``, with
+    ``| None`` for the world.
+    """
+
+    #: Sensors that an experiment records by default.
+    recorded: ClassVar[tuple[str, ...]] = ()
+
+    name: str
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        dataclasses.dataclass(frozen=True, eq=False, kw_only=True)(cls)
+        for field in cls.arguments():
+            kind = cls.kind_of(field)
+            if field.name in ("type", "kind"):
+                raise TypeError(f"{cls.__name__}.{field.name} must have another name, which files do not reserve")
+            if "unit" not in field.metadata and kind is not bool and kind not in REFERENCES:
+                raise TypeError(
+                    f"{cls.__name__}.{field.name} must be declared with wc.parameter, or be a bool, Points, Body, "
+                    "Surface or Shape"
+                )
+
+    @classmethod
+    def prefix(cls) -> str:
+        """Returns the prefix of generated names: the name of the class in lower case, ``point_magnet``."""
+        return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
+
+    @classmethod
+    def arguments(cls) -> Iterator["dataclasses.Field[Any]"]:
+        """Yields the fields without the name."""
+        return (field for field in dataclasses.fields(cls) if field.name != "name")
+
+    @classmethod
+    def kind_of(cls, field: "dataclasses.Field[Any]") -> Any:
+        """Returns the type of a field, without ``None``."""
+        annotated = get_type_hints(cls)[field.name]
+        return next((kind for kind in get_args(annotated) if kind is not NoneType), annotated)
+
+    @classmethod
+    def references(cls) -> dict[str, Any]:
+        """Returns the fields that refer to other elements, with the class of the element."""
+        return {field.name: kind for field in cls.arguments() if (kind := cls.kind_of(field)) in REFERENCES}
+
+    @classmethod
+    def parameters(cls) -> dict[str, Mapping[str, Any]]:
+        """Returns unit, meaning and allowed range of the numbers, by name."""
+        return {field.name: field.metadata for field in cls.arguments() if "unit" in field.metadata}
+
+    @classmethod
+    def is_optional(cls, name: str) -> bool:
+        """Returns whether an element may be omitted, which stands for the world."""
+        return NoneType in get_args(get_type_hints(cls)[name])
+
+    @classmethod
+    def checked(cls, name: str, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns numbers and booleans of an element, checked; other values are unchanged.
+
+        Args:
+            name: Name of the element, for messages.
+            values: Arguments by name.
+
+        Raises:
+            TypeError: If an argument does not exist, or is missing.
+            ValueError: If a number is out of range; the message names it.
+        """
+        fields = {field.name: field for field in cls.arguments()}
+        refuse_unknown(cls.__name__, values, fields)
+        found: dict[str, Any] = {}
+        for key, field in fields.items():
+            value = values.get(key, field.default)
+            if value is dataclasses.MISSING:
+                raise TypeError(f"{name}.{key} is missing")
+            if "unit" in field.metadata:
+                value = checks.numbers(f"{name}.{key}", value, field.metadata["shape"], field.metadata)
+            elif cls.kind_of(field) is bool:
+                value = checks.switch(f"{name}.{key}", value)
+            found[key] = value
+        return found
+
+    def check(self) -> None:
+        """Checks combinations of arguments.
+
+        Raises:
+            ValueError: If they are not allowed; the message begins with the name of the element.
+        """
+
+
+class PointPair(SceneElement):
+    """Base of elements between two points, ``point_a`` and ``point_b``, on different bodies or on one and the world."""
+
+    point_a: Points
+    point_b: Points
+
+    @property
+    def bodies(self) -> tuple[Body | None, Body | None]:
+        """Bodies of the points; ``None``: the world."""
+        return self.point_a.body, self.point_b.body
+
+    def check(self) -> None:
+        """Checks that both are single points, on different bodies.
+
+        Raises:
+            ValueError: If not.
+        """
+        check_ends(self.name, self.point_a, self.point_b)
+
+
+def check_ends(name: str, point_a: Points, point_b: Points) -> None:
+    """Checks that both ends of an element are single points, on different bodies.
+
+    Raises:
+        ValueError: If not; the message begins with ``name``, the name of the element.
+    """
+    for key, point in (("point_a", point_a), ("point_b", point_b)):
+        if not point.single:
+            raise ValueError(
+                f"{name}.{key} must be one point, from add_point, got the {len(point.positions)} points of "
+                f"{point.name!r}"
+            )
+    if point_a.body is point_b.body:
+        where = f"body {point_a.body.name!r}" if point_a.body else "the world"
+        raise ValueError(
+            f"{name}: point_a and point_b are both fixed to {where}; they must be on two bodies, or on one and the "
+            "world"
+        )
