@@ -51,7 +51,6 @@ class Functions(NamedTuple):
     contact_clearance: wp.Function  # clearance of a contact, from that of the center of its cluster [m]
     can_cull: wp.Function  # whether a contact may be culled if its surroundings are far away
     cluster_clearance: wp.Function  # lower bound on the distance of the center of a cluster [m]; < 0: unknown
-    probe_distance: wp.Function  # displacement after which the center of a cluster can cull again [m]
     cull_by_cluster: wp.Function  # marks a contact as far if the clearance of its cluster is sufficient
     safe_travel_for: wp.Function  # safe travel of a contact with a clearance [m]
     extend_safe_travel: wp.Function  # extended safe travel of a culled contact [m]
@@ -315,7 +314,6 @@ def functions(real: type, tracks: bool, part: str) -> Functions:
         contact_clearance=contact_clearance,
         can_cull=can_cull,
         cluster_clearance=cluster_clearance,
-        probe_distance=probe_distance,
         cull_by_cluster=cull_by_cluster,
         safe_travel_for=safe_travel_for,
         extend_safe_travel=extend_safe_travel,

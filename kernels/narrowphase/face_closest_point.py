@@ -24,16 +24,9 @@ MAX_DESCENT_STEPS = 4096
 MAX_TRACK_STEPS = 32
 
 
-class TriangleFunctions(NamedTuple):
-    """Struct and device function of the closest point of a triangle."""
-
-    Hit: Struct  # closest point and its feature
-    closest_to_origin: wp.Function  # point of a triangle closest to the origin, and its feature
-
-
 @functools.cache
-def triangle_functions(real: type) -> TriangleFunctions:
-    """Returns the device functions for ``real``."""
+def closest_point_of_triangle(real: type) -> wp.Function:
+    """Returns the device function of the point of a triangle closest to the origin, and of its feature."""
     t = structs(real)
     vec3 = t.vec3
     level = wp.constant(real(1.0 + 8.0 * t.epsilon))
@@ -104,7 +97,7 @@ def triangle_functions(real: type) -> TriangleFunctions:
             hit.feature = feature
         return hit
 
-    return TriangleFunctions(Hit=Hit, closest_to_origin=closest_to_origin)
+    return closest_to_origin
 
 
 class Functions(NamedTuple):
@@ -127,7 +120,7 @@ def functions(real: type) -> Functions:
     t = structs(real)
     vec3, Model = t.vec3, t.Model
     row_of = vector_loads.row_of(real)
-    closest_to_origin = triangle_functions(real).closest_to_origin
+    closest_to_origin = closest_point_of_triangle(real)
     tie_epsilon = wp.constant(real(t.epsilon * TIE))
     zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
 

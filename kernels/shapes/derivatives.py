@@ -22,7 +22,6 @@ from warpcontact.kernels.shapes.spheres import Capsule, Ellipsoid, Sphere
 from warpcontact.kernels.shapes.superellipsoid import Superellipsoid
 
 vec2d = wp.vec2d
-mat22d = wp.mat22d
 Row1 = wp.types.vector(1, real)
 Row12 = wp.types.vector(12, real)
 Rows12 = wp.types.matrix((3, 12), real)

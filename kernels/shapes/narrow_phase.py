@@ -53,16 +53,9 @@ class RelativePose:
     offset: vec3d  # origin of b from its carrier, W [m]
 
 
-class Functions(NamedTuple):
-    """Device functions of the poses of shapes."""
-
-    body_rotation: wp.Function  # rotation B → W of a body, float64
-    pose: wp.Function  # ``RelativePose`` of two shapes
-
-
 @functools.cache
-def functions(real: type) -> Functions:
-    """Returns the device functions for ``real``."""
+def pose_function(real: type) -> wp.Function:
+    """Returns the device function of the ``RelativePose`` of two shapes, for states of precision ``real``."""
     State = structs(real).State
     wide = frames.functions(real).wide
 
@@ -101,7 +94,7 @@ def functions(real: type) -> Functions:
         found.x = wp.quat_rotate_inv(found.q_W, found.body_offset + (offset_a - found.offset))
         return found
 
-    return Functions(body_rotation=body_rotation, pose=pose)
+    return pose
 
 
 class PairFunctions(NamedTuple):
@@ -123,7 +116,7 @@ def pair_functions(kind_a: type[Shape], kind_b: type[Shape], real: type) -> Pair
     State = structs(real).State
     ShapesA, ShapesB = shapes_struct(kind_a), shapes_struct(kind_b)
     solve_pair = pair_function(kind_a, kind_b)
-    pose_of = functions(real).pose
+    pose_of = pose_function(real)
 
     @wp.func
     def relative_pose(

@@ -21,9 +21,8 @@ def perpendicular(n: vec3d):
 
 
 class SeparationFunctions(NamedTuple):
-    """Structs and the device function of the separation of a pair of shape classes."""
+    """Types and the device function of the separation of a pair of shape classes."""
 
-    Separation: Struct  # separation along a direction, with points and curvatures
     KinkMatrix: type  # matrix with one row per kink, at least one
     KinkVector: type  # vector with one element per kink, at least one
     CoefficientsA: Struct  # coefficients of shape a
@@ -35,7 +34,7 @@ class SeparationFunctions(NamedTuple):
 
 @functools.cache
 def separation_functions(A: type[Shape], B: type[Shape]) -> SeparationFunctions:
-    """Returns the struct ``Separation`` of a pair and the device functions that use it."""
+    """Returns the device function of the separation of a pair, and its types."""
     CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
     kink_count, kink_count_a = A.kinks + B.kinks, A.kinks
     KinkMatrix = wp.types.matrix((max(kink_count, 1), 3), real)
@@ -85,7 +84,6 @@ def separation_functions(A: type[Shape], B: type[Shape]) -> SeparationFunctions:
         return separation
 
     return SeparationFunctions(
-        Separation=Separation,
         KinkMatrix=KinkMatrix,
         KinkVector=KinkVector,
         CoefficientsA=CoefficientsA,
