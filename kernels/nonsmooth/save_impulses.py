@@ -231,12 +231,7 @@ def display_particles(real: type) -> wp.Kernel:
     Launch with dim (env, particle). A pair with an impulse is reported as in contact, even if it has opened since.
     """
     vec3 = structs(real).vec3
-    particle_types = particle_structs(real)
-    Particles, NeighborLists, PairRecords = (
-        particle_types.Particles,
-        particle_types.NeighborLists,
-        particle_types.PairRecords,
-    )
+    p = particle_structs(real)
     records = record_structs(real)
     StoredImpulses, StepStatistics = records.StoredImpulses, records.StepStatistics
 
@@ -244,11 +239,11 @@ def display_particles(real: type) -> wp.Kernel:
     def show_particles(
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         first: wp.int32,  # contact index of the first record
-        particles: Particles,
-        neighbor_lists: NeighborLists,
+        particles: p.Particles,
+        neighbor_lists: p.NeighborLists,
         stored_impulses: StoredImpulses,
         statistics: StepStatistics,
-        pair_records: PairRecords,
+        pair_records: p.PairRecords,
     ):
         env, particle = wp.tid()
         if pair_records.particle_flags[env, particle] == 0:

@@ -76,14 +76,7 @@ def kernel(
     """
     t = structs(real)
     vec3, quat, Model, State, Wrenches = t.vec3, t.quat, t.Model, t.State, t.Wrenches
-    particle_types = particle_structs(real)
-    Particles, NeighborLists, PairRecords, CellList, ParticleContactSettings = (
-        particle_types.Particles,
-        particle_types.NeighborLists,
-        particle_types.PairRecords,
-        particle_types.CellList,
-        particle_types.ParticleContactSettings,
-    )
+    p = particle_structs(real)
     Coefficients, Memory = group_structs(parts, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
     evaluate_contact = contact_evaluation.functions(parts, real, moves).evaluate_contact
@@ -107,8 +100,8 @@ def kernel(
     @wp.func
     def kinematics_of(
         state: State,
-        particles: Particles,
-        settings: ParticleContactSettings,
+        particles: p.Particles,
+        settings: p.ParticleContactSettings,
         env: int,
         first: int,
         second: int,
@@ -146,7 +139,7 @@ def kernel(
         return kinematics
 
     @wp.func
-    def record_geometry(kinematics: ContactKinematics, pair_records: PairRecords, env: int, slot: int):
+    def record_geometry(kinematics: ContactKinematics, pair_records: p.PairRecords, env: int, slot: int):
         """Writes gap, normal and arm to the record of the pair."""
         pair_records.gap[env, slot] = -kinematics.penetration
         pair_records.normal[env, slot] = kinematics.normal
@@ -157,8 +150,8 @@ def kernel(
         model: Model,
         state: State,
         kinematics: ContactKinematics,
-        settings: ParticleContactSettings,
-        pair_records: PairRecords,
+        settings: p.ParticleContactSettings,
+        pair_records: p.PairRecords,
         coefficients: Coefficients,
         history_in: Memory,
         history_out: Memory,
@@ -213,13 +206,13 @@ def kernel(
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
-        particles: Particles,
-        neighbor_lists: NeighborLists,
-        cell_list: CellList,
+        particles: p.Particles,
+        neighbor_lists: p.NeighborLists,
+        cell_list: p.CellList,
         history_in: Memory,
         step: wp.array2d(dtype=real),  # [env, 0] duration over which the force acts [s]; 0: instantaneous force
         coefficients: Coefficients,
-        pair_records: PairRecords,
+        pair_records: p.PairRecords,
         history_out: Memory,
         write_outputs: wp.bool,  # whether to write gap, normal, arm and force of each pair for sensors
         wrenches: Wrenches,

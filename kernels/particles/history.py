@@ -34,17 +34,12 @@ def copy_memory(parts: ContactModel, real: type) -> wp.Function:
 @functools.cache
 def accept(parts: ContactModel, real: type, nonsmooth: bool = False) -> wp.Kernel:
     """Returns the kernel that advances the history; items: particles. ``nonsmooth``: see ``force.kernel``."""
-    particle_types = particle_structs(real)
-    Particles, NeighborLists, PairRecords = (
-        particle_types.Particles,
-        particle_types.NeighborLists,
-        particle_types.PairRecords,
-    )
+    p = particle_structs(real)
     _, Memory = group_structs(parts, real)
     copy, records_with_flags = copy_memory(parts, real), base.records_with_flags(real)
 
     @wp.func
-    def accept_record(pair_records: PairRecords, history_out: Memory, memory: Memory, env: int, slot: int):
+    def accept_record(pair_records: p.PairRecords, history_out: Memory, memory: Memory, env: int, slot: int):
         flags = pair_records.flags[env, slot]
         if (flags & IN_CONTACT) == 0:
             pair_records.flags[env, slot] = 0
@@ -62,9 +57,9 @@ def accept(parts: ContactModel, real: type, nonsmooth: bool = False) -> wp.Kerne
     def accept_particle_contacts(
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        particles: Particles,
-        neighbor_lists: NeighborLists,
-        pair_records: PairRecords,
+        particles: p.Particles,
+        neighbor_lists: p.NeighborLists,
+        pair_records: p.PairRecords,
         history_out: Memory,
         memory: Memory,
     ):

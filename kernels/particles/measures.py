@@ -29,17 +29,12 @@ def measured(real: type):
 def particles(real: type) -> wp.Kernel:
     """Returns the kernel that evaluates each particle. Launch with dim (env, particle)."""
     vec3 = structs(real).vec3
-    particle_types = particle_structs(real)
-    Particles, NeighborLists, PairRecords = (
-        particle_types.Particles,
-        particle_types.NeighborLists,
-        particle_types.PairRecords,
-    )
+    p = particle_structs(real)
     Measured = measured(real)
 
     @unique_kernel()
     def measure_particles(
-        particles: Particles, neighbor_lists: NeighborLists, pair_records: PairRecords, measured: Measured
+        particles: p.Particles, neighbor_lists: p.NeighborLists, pair_records: p.PairRecords, measured: Measured
     ):
         env, particle = wp.tid()
         start = particles.entry_start[particle]
@@ -66,20 +61,15 @@ def particles(real: type) -> wp.Kernel:
 @functools.cache
 def totals(real: type) -> wp.Kernel:
     """Returns the kernel that evaluates totals of an environment, in the order of records. Launch with dim env."""
-    particle_types = particle_structs(real)
-    Particles, NeighborLists, PairRecords = (
-        particle_types.Particles,
-        particle_types.NeighborLists,
-        particle_types.PairRecords,
-    )
+    p = particle_structs(real)
     Measured = measured(real)
 
     @unique_kernel()
     def measure_totals(
         count: wp.int32,
-        particles: Particles,
-        neighbor_lists: NeighborLists,
-        pair_records: PairRecords,
+        particles: p.Particles,
+        neighbor_lists: p.NeighborLists,
+        pair_records: p.PairRecords,
         measured: Measured,
     ):
         env = wp.tid()

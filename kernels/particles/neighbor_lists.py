@@ -47,8 +47,7 @@ def check_validity(traits: ParticleTraits, real: type) -> wp.Kernel:
     """Returns the kernel that marks environments with stale lists; items: particles."""
     t = structs(real)
     State = t.State
-    particle_types = particle_structs(real)
-    Particles, CellList = particle_types.Particles, particle_types.CellList
+    p = particle_structs(real)
     axis_point = particle_geometry.functions(traits, real).axis_point
     has_capsules = traits.has_capsules
 
@@ -57,8 +56,8 @@ def check_validity(traits: ParticleTraits, real: type) -> wp.Kernel:
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         state: State,
-        particles: Particles,
-        cell_list: CellList,
+        particles: p.Particles,
+        cell_list: p.CellList,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
@@ -104,8 +103,7 @@ def fill(traits: ParticleTraits, real: type) -> wp.Kernel:
     """Returns the kernel that sorts particles into buckets and stores their poses; items: particles."""
     t = structs(real)
     State = t.State
-    particle_types = particle_structs(real)
-    Particles, CellList = particle_types.Particles, particle_types.CellList
+    p = particle_structs(real)
     axis_point = particle_geometry.functions(traits, real).axis_point
     wide = frames.functions(real).wide
     has_capsules = traits.has_capsules
@@ -120,8 +118,8 @@ def fill(traits: ParticleTraits, real: type) -> wp.Kernel:
         status: wp.array(dtype=wp.int32),
         buckets: wp.int32,
         state: State,
-        particles: Particles,
-        cell_list: CellList,
+        particles: p.Particles,
+        cell_list: p.CellList,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
@@ -154,18 +152,12 @@ def build(traits: ParticleTraits, real: type) -> wp.Kernel:
     """
     t = structs(real)
     State = t.State
-    particle_types = particle_structs(real)
-    Particles, NeighborLists, PairRecords, CellList = (
-        particle_types.Particles,
-        particle_types.NeighborLists,
-        particle_types.PairRecords,
-        particle_types.CellList,
-    )
+    p = particle_structs(real)
     geometry = particle_geometry.functions(traits, real)
     axis_point, closest_approach = geometry.axis_point, geometry.closest_approach
 
     @wp.func
-    def insert(cell_list: CellList, env: int, start: int, capacity: int, count: int, key: int):
+    def insert(cell_list: p.CellList, env: int, start: int, capacity: int, count: int, key: int):
         """Inserts a key into the sorted list; returns the number of keys, including one that did not fit."""
         last = wp.min(count, capacity)
         position = start + last
@@ -198,10 +190,10 @@ def build(traits: ParticleTraits, real: type) -> wp.Kernel:
         status: wp.array(dtype=wp.int32),
         buckets: wp.int32,
         state: State,
-        particles: Particles,
-        neighbor_lists: NeighborLists,
-        pair_records: PairRecords,
-        cell_list: CellList,
+        particles: p.Particles,
+        neighbor_lists: p.NeighborLists,
+        pair_records: p.PairRecords,
+        cell_list: p.CellList,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
@@ -263,13 +255,7 @@ def build(traits: ParticleTraits, real: type) -> wp.Kernel:
 @functools.cache
 def transfer_history(parts: ContactModel, real: type) -> wp.Kernel:
     """Returns the kernel that activates the new lists and moves the history of pairs; items: particles."""
-    particle_types = particle_structs(real)
-    Particles, NeighborLists, PairRecords, CellList = (
-        particle_types.Particles,
-        particle_types.NeighborLists,
-        particle_types.PairRecords,
-        particle_types.CellList,
-    )
+    p = particle_structs(real)
     _, Memory = group_structs(parts, real)
     copy = copy_memory(parts, real)
 
@@ -277,10 +263,10 @@ def transfer_history(parts: ContactModel, real: type) -> wp.Kernel:
     def transfer_pair_history(
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        particles: Particles,
-        neighbor_lists: NeighborLists,
-        pair_records: PairRecords,
-        cell_list: CellList,
+        particles: p.Particles,
+        neighbor_lists: p.NeighborLists,
+        pair_records: p.PairRecords,
+        cell_list: p.CellList,
         history_out: Memory,
         memory: Memory,
     ):
@@ -340,12 +326,7 @@ def transfer_impulses(real: type) -> wp.Kernel:
     Items: particles. Both lists are sorted. Moving first the records whose index decreases, in ascending order,
     and then those whose index increases, in descending order, overwrites no record that is still to be moved.
     """
-    particle_types = particle_structs(real)
-    Particles, NeighborLists, CellList = (
-        particle_types.Particles,
-        particle_types.NeighborLists,
-        particle_types.CellList,
-    )
+    p = particle_structs(real)
     StoredImpulses = record_structs(real).StoredImpulses
 
     @wp.func
@@ -362,9 +343,9 @@ def transfer_impulses(real: type) -> wp.Kernel:
     def transfer_pair_impulses(
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        particles: Particles,
-        neighbor_lists: NeighborLists,
-        cell_list: CellList,
+        particles: p.Particles,
+        neighbor_lists: p.NeighborLists,
+        cell_list: p.CellList,
         first: wp.int32,  # contact index of the first record
         stored: StoredImpulses,
     ):
@@ -425,20 +406,15 @@ def transfer_impulses(real: type) -> wp.Kernel:
 @functools.cache
 def build_reverse(real: type) -> wp.Kernel:
     """Returns the kernel that finds the records of pairs that a particle does not own; items: particles."""
-    particle_types = particle_structs(real)
-    Particles, NeighborLists, CellList = (
-        particle_types.Particles,
-        particle_types.NeighborLists,
-        particle_types.CellList,
-    )
+    p = particle_structs(real)
 
     @unique_kernel()
     def build_reverse_lists(
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        particles: Particles,
-        neighbor_lists: NeighborLists,
-        cell_list: CellList,
+        particles: p.Particles,
+        neighbor_lists: p.NeighborLists,
+        cell_list: p.CellList,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
