@@ -229,7 +229,7 @@ def test_concurrent_shards_are_limited_by_memory(machines, gpus, places, there, 
 
 
 def test_shard_too_large_for_every_node_is_refused():
-    plan = Plan(100, 5, 1, MemoryEstimate(5, "cpu", (MemoryItem("state", HOST, 6 * 2**30),)), 0, ())
+    plan = Plan(100, 5, 1, MemoryEstimate(5, "cpu", (MemoryItem("state", HOST, 6 * 2**30),)), 0, (), process=0)
     resources = ClusterResources(Cluster((8, 0, 2**30), (1, 0, 2**40)), cores=2, gpus=0, slots=4)
     message = "takes 7.58 GiB, and a machine has at most 1 GiB; use a smaller shard"
     with pytest.raises(MemoryError, match=message):

@@ -1,7 +1,8 @@
 """Available memory as reported by the system and its control groups."""
 
-import os
+from types import SimpleNamespace
 
+import psutil
 import pytest
 
 from warpcontact.system import resources
@@ -28,25 +29,20 @@ OLD = {
 )
 def test_available_memory_includes_control_group_limits(cgroup, folder, files, tmp_path, monkeypatch):
     (tmp_path / "cgroup").write_text(cgroup)
-    (tmp_path / "meminfo").write_text("MemTotal: 8000 kB\nMemAvailable: 4000 kB\n")
     top = tmp_path / "sys"
     (top / folder).mkdir(parents=True)
     for name, text in files.items():
         (top / folder / name).write_text(text)
     monkeypatch.setattr(resources, "_CGROUP", tmp_path / "cgroup")
     monkeypatch.setattr(resources, "_CGROUPS", top)
-    monkeypatch.setattr(resources, "_MEMINFO", tmp_path / "meminfo")
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=4000 * 1024))
     assert resources.available_memory(HOST).size == 400_000
     limit = "memory.max" if "memory.max" in files else "memory.limit_in_bytes"
     (top / folder / limit).write_text("max\n")
     assert resources.available_memory(HOST).size == 4000 * 1024
 
 
-def test_available_memory_on_other_systems_is_found_or_unknown(tmp_path, monkeypatch):
-    for name in ("_CGROUP", "_MEMINFO"):
-        monkeypatch.setattr(resources, name, tmp_path / "none")
-    system_values = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 4096, "SC_AVPHYS_PAGES": -1}
-    monkeypatch.setattr(os, "sysconf", system_values.__getitem__, raising=False)
+def test_available_memory_without_control_groups_is_that_of_the_machine(tmp_path, monkeypatch):
+    monkeypatch.setattr(resources, "_CGROUP", tmp_path / "none")
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=4_096_000))
     assert resources.available_memory(HOST).size == 4_096_000
-    monkeypatch.delattr(os, "sysconf")
-    assert resources.available_memory(HOST) is None

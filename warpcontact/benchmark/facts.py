@@ -1,7 +1,6 @@
 """Facts on which measured speeds depend besides the code: device, driver, cores, versions, date."""
 
 import datetime
-import os
 import platform
 import re
 import subprocess
@@ -9,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from warpcontact._version import __version__
+from warpcontact.system.resources import available_threads
 
 
 def facts(device: str, threads: int) -> dict[str, str | int]:
@@ -18,11 +18,10 @@ def facts(device: str, threads: int) -> dict[str, str | int]:
         device: ``"cpu"``, ``"cuda:0"``, …
         threads: Number of threads of the measured program.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     found: dict[str, str | int] = {
         "device": processor(),
         "system": f"{platform.system()} {platform.machine()}",
-        "cores": cores,
+        "cores": available_threads(),
         "threads": threads,
         "date": datetime.date.today().isoformat(),
     }

@@ -63,8 +63,7 @@ class Plan:
         footprint: Memory estimate of one shard; if ``shard`` is 0, of one environment.
         recording: Size of the whole recording before compression [bytes].
         available_memory: Available memory of the devices and the host, if the system reports it.
-        process: Host memory of Python and its libraries, in addition to ``footprint`` [bytes]; ``None``: not reported
-            by the system.
+        process: Host memory of Python and its libraries, in addition to ``footprint`` [bytes].
         disk: Disk of the results; ``None``: not requested, or not reported by the system.
     """
 
@@ -74,13 +73,13 @@ class Plan:
     footprint: MemoryEstimate
     recording: int
     available_memory: tuple[AvailableMemory, ...]
-    process: int | None = None
+    process: int
     disk: Disk | None = None
 
     @property
-    def peak(self) -> int | None:
-        """Peak host memory of the process with all kernels compiled [bytes]; ``None``: unknown."""
-        return None if self.process is None else self.process + self.footprint.host_bytes
+    def peak(self) -> int:
+        """Peak host memory of the process with all kernels compiled [bytes]."""
+        return self.process + self.footprint.host_bytes
 
     @property
     def shards(self) -> int:
@@ -103,9 +102,10 @@ class Plan:
             raise MemoryShortage(message, self.footprint.bytes_at(memory.location), usable_bytes(memory), 0)
 
     def __str__(self) -> str:
-        lines = [str(self.footprint)]
-        if self.peak is not None:
-            lines.append(f"process including Python and its libraries: at most {format_bytes(self.peak)}")
+        lines = [
+            str(self.footprint),
+            f"process including Python and its libraries: at most {format_bytes(self.peak)}",
+        ]
         for memory in self.available_memory:
             lines.append(
                 f"available: {format_bytes(memory.size)} of {memory.name}; {format_bytes(usable_bytes(memory))} can be used"
@@ -190,7 +190,6 @@ def make_plan(
     if shard is None and max_envs:
         chosen = shard_size(max_envs, settings.envs)
     block = block_size(size, chosen or 1, frames)
-    libraries, own = LIBRARIES_FOR_SERIES if frames else LIBRARIES, used_memory()
     return Plan(
         settings.envs,
         chosen,
@@ -198,7 +197,7 @@ def make_plan(
         footprint(chosen or 1),
         size.on_host(settings.envs, frames),
         available_memory,
-        None if own is None else own + libraries,
+        used_memory() + (LIBRARIES_FOR_SERIES if frames else LIBRARIES),
     )
 
 

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+
 HOST = "host"
 
-# Sources of information on Linux.
-_MEMINFO = Path("/proc/meminfo")
-_STATUS = Path("/proc/self/status")
+# Control groups of Linux, whose limits psutil does not include.
 _CGROUP = Path("/proc/self/cgroup")
 _CGROUPS = Path("/sys/fs/cgroup")
 
@@ -38,7 +38,7 @@ def available_threads() -> int:
 
 
 def available_memory(location: str) -> AvailableMemory | None:
-    """Returns the available memory of ``location``; ``None``: not reported by the system."""
+    """Returns the available memory of ``location``; ``None``: not reported by the device."""
     size = _host() if location == HOST else _device(location)
     return None if size is None else AvailableMemory(location, size)
 
@@ -52,42 +52,14 @@ def _device(name: str) -> int | None:
     return free if free > 0 else None
 
 
-def _host() -> int | None:
+def _host() -> int:
     """Returns the host memory that this process can still allocate [bytes]."""
-    limits = [size for size in (_free(), *_cgroup_limits()) if size is not None]
-    return max(0, min(limits)) if limits else None
+    return max(0, min([psutil.virtual_memory().available, *_cgroup_limits()]))
 
 
-def _free() -> int | None:
-    """Returns the free or reclaimable memory [bytes]; on systems that do not report it, the total memory."""
-    free = _read_kilobytes(_MEMINFO, "MemAvailable")
-    if free is not None:
-        return free
-    for name in ("SC_AVPHYS_PAGES", "SC_PHYS_PAGES"):
-        try:
-            pages, size = os.sysconf(name), os.sysconf("SC_PAGE_SIZE")
-        except (AttributeError, ValueError, OSError):
-            continue
-        if pages > 0 and size > 0:
-            return pages * size
-    return None
-
-
-def used_memory() -> int | None:
-    """Returns the host memory in use by this process [bytes]; ``None``: not reported by the system."""
-    return _read_kilobytes(_STATUS, "VmRSS")
-
-
-def _read_kilobytes(path: Path, name: str) -> int | None:
-    """Returns a value in kB from a file of Linux, converted to bytes."""
-    try:
-        for line in path.read_text(encoding="utf-8").splitlines():
-            key, _, value = line.partition(":")
-            if key == name:
-                return 1024 * int(value.split()[0])
-    except (OSError, ValueError, IndexError):
-        pass
-    return None
+def used_memory() -> int:
+    """Returns the host memory in use by this process [bytes]."""
+    return int(psutil.Process().memory_info().rss)
 
 
 def _cgroup_limits() -> Iterator[int]:
@@ -118,8 +90,8 @@ def _remaining(folder: Path, limit: str, usage: str, reclaimable: str) -> int | 
     """Returns the remaining memory of a control group [bytes]; ``None``: it has no limit."""
     try:
         allowed = int((folder / limit).read_text(encoding="utf-8"))  # "max": no limit
-        used_memory = int((folder / usage).read_text(encoding="utf-8"))
+        used = int((folder / usage).read_text(encoding="utf-8"))
         stat = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="utf-8").splitlines())
-        return allowed - used_memory + int(stat.get(reclaimable, 0))
+        return allowed - used + int(stat.get(reclaimable, 0))
     except (OSError, ValueError):
         return None
