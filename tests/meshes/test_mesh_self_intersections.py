@@ -8,8 +8,7 @@ import pytest
 from test_meshes import OUTWARD, TETRAHEDRON, joined, moved, soup
 
 from warpcontact.meshes import Mesh, MeshError, box, grid, icosphere, load_mesh, sinusoidal_terrain
-from warpcontact.meshes.examine import examine
-from warpcontact.meshes.overlap import intersections
+from warpcontact.meshes.examine import examine, intersections
 
 
 def det(a, b, c):
@@ -94,7 +93,7 @@ def test_self_intersections_are_invariant_to_scale_and_position():
 
 
 def test_mesh_with_too_many_close_faces_is_not_examined(monkeypatch):
-    monkeypatch.setattr("warpcontact.meshes.overlap._MAX_PAIRS", 100)
+    monkeypatch.setattr("warpcontact.meshes.examine._MAX_PAIRS", 100)
     mesh = icosphere(1.0, 3)
     assert examine(mesh.vertices, mesh.faces, overlaps=True).self_intersection_count is None
     with pytest.raises(MeshError, match="too many faces close to each other"):

@@ -6,7 +6,7 @@ from rigid_scenes import G, ball, rigid
 
 import warpcontact as wc
 from warpcontact.unilateral import EventDriven
-from warpcontact.unilateral.reference.candidates import closest_on_segments
+from warpcontact.unilateral.reference.contacts import closest_on_segments
 
 
 def test_closest_points_of_segments_match_brute_force():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warpcontact.unilateral import Problem, solve
-from warpcontact.unilateral.residual import ResidualEvaluator
+from warpcontact.unilateral.solution import ResidualEvaluator
 
 METHODS = ["projection", "gauss_seidel", "energy", "prox", "enumeration"]
 

@@ -8,9 +8,8 @@ import pytest
 import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.meshes import examine_file, load_mesh, plot_file
-from warpcontact.meshes.picture.defects import find_defects
-from warpcontact.meshes.picture.marks import _split_by_visibility, length_unit
-from warpcontact.meshes.picture.view import View, best_direction, paint
+from warpcontact.meshes.picture import _split_by_visibility, find_defects, length_unit
+from warpcontact.meshes.picture_view import View, best_direction, paint
 
 PNG = b"\x89PNG"
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from warpcontact.algebra.vectors import bounds, norm
 from warpcontact.kernels.types import SIDE_KNOWN_EVERYWHERE, SIDE_KNOWN_INSIDE_WALLS, SIDE_KNOWN_NOWHERE
 from warpcontact.meshes import Mesh
-from warpcontact.meshes.overlap import MOST_FACES
+from warpcontact.meshes.examine import MOST_FACES
 from warpcontact.meshes.topology import area_vectors, components
 from warpcontact.validation.checks import Array
 

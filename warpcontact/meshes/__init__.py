@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 from warpcontact.kernels.catalogue.names import lazy_names
 from warpcontact.meshes.generate import box, grid, icosphere, sinusoidal_terrain
-from warpcontact.meshes.mesh import Mesh, MeshError
+from warpcontact.meshes.mesh import UNITS, Mesh, MeshError
 from warpcontact.meshes.repair import REPAIRS, repaired
 from warpcontact.meshes.report import MeshReport, RepairStep
 from warpcontact.meshes.sample import SurfaceSamples, sample_surface
 from warpcontact.meshes.topology import Component
-from warpcontact.meshes.units import UNITS
 
 if TYPE_CHECKING:
     from warpcontact.meshes.isolation import Limits

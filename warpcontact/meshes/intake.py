@@ -9,13 +9,11 @@ import numpy.typing as npt
 
 from warpcontact.algebra.vectors import norm
 from warpcontact.meshes.examine import examine
-from warpcontact.meshes.groups import FaceChoice, face_mask
-from warpcontact.meshes.mesh import MeshError
+from warpcontact.meshes.mesh import FaceChoice, MeshError, face_mask, metres
 from warpcontact.meshes.readers import Content, Unreadable, read
 from warpcontact.meshes.repair import repair_arrays
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import area_vectors
-from warpcontact.meshes.units import metres
 
 
 @dataclass(frozen=True)

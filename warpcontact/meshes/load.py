@@ -7,15 +7,13 @@ from warpcontact.files.picture_file import check_path
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import open_file
 from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.meshes.groups import FaceChoice
 from warpcontact.meshes.intake import ExaminedMesh, Task, examine_task, unreadable
 from warpcontact.meshes.isolation import Limits, examine_task_sandboxed
-from warpcontact.meshes.mesh import Mesh, MeshError, positive
+from warpcontact.meshes.mesh import FaceChoice, Mesh, MeshError, metres, positive
 from warpcontact.meshes.readers import SUFFIXES, USD_SUFFIXES, Unreadable
 from warpcontact.meshes.repair import RepairRequest, check_tolerance, steps_of
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import CRACK_LIMIT
-from warpcontact.meshes.units import metres
 
 
 @explain_keywords
@@ -134,7 +132,7 @@ def plot_file(
         MeshError: If the file cannot be read.
         ValueError: If an option is invalid, no face can be drawn, or the picture cannot be written.
     """
-    from warpcontact.meshes.picture.sheet import plot_arrays
+    from warpcontact.meshes.picture import plot_arrays
 
     check_path(picture)
     options = Options(scale, unit, prim, repair, tolerance, trusted, limits)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes import Mesh
-from warpcontact.meshes.groups import face_mask
+from warpcontact.meshes.mesh import face_mask
 from warpcontact.scene.elements import (
     FORCE_SCALE,
     KAPPA,

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import explain_renamed
 from warpcontact.meshes import SurfaceSamples
-from warpcontact.meshes.groups import face_mask
+from warpcontact.meshes.mesh import face_mask
 from warpcontact.scene.add_bodies import Bodies
 from warpcontact.scene.add_couplings import Couplings
 from warpcontact.scene.add_force_elements import ForceElements

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from warpcontact.unilateral.diagnosis import Diagnosis
     from warpcontact.unilateral.problem import Problem, solve
     from warpcontact.unilateral.reference.acceleration import ParadoxError
-    from warpcontact.unilateral.reference.assembly import Assembly, assemble
+    from warpcontact.unilateral.reference.contacts import Assembly, assemble
     from warpcontact.unilateral.reference.equilibrium import Equilibrium, equilibrium
     from warpcontact.unilateral.reference.event_driven import EventDriven
     from warpcontact.unilateral.reference.events import Event, EventKind, EventRun
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # Module of each public name.
 _HOME = {
-    "Assembly": "reference.assembly",
+    "Assembly": "reference.contacts",
     "Diagnosis": "diagnosis",
     "Equilibrium": "reference.equilibrium",
     "Event": "reference.events",
@@ -28,7 +28,7 @@ _HOME = {
     "Problem": "problem",
     "Solution": "solution",
     "Termination": "solution",
-    "assemble": "reference.assembly",
+    "assemble": "reference.contacts",
     "equilibrium": "reference.equilibrium",
     "solve": "problem",
     "solve_delassus": "solving",

@@ -8,21 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warpcontact.unilateral import intake
+from warpcontact.unilateral import arguments
 from warpcontact.unilateral.delassus import Delassus
-from warpcontact.unilateral.elimination import eliminate, is_regular
-from warpcontact.unilateral.enumeration import MAX_CONTACTS
-from warpcontact.unilateral.freedom import (
+from warpcontact.unilateral.enumeration import MAX_CONTACTS, all_states, as_solutions
+from warpcontact.unilateral.scaled import (
     ZERO_EIGENVALUE,
+    ScaledProblem,
     free_motion,
     null_space,
     row_null_space,
     unopposed_motion,
 )
-from warpcontact.unilateral.residual import ResidualEvaluator
-from warpcontact.unilateral.scaled import ScaledProblem
-from warpcontact.unilateral.solution import Solution
-from warpcontact.unilateral.states import all_states, as_solutions
+from warpcontact.unilateral.solution import ResidualEvaluator, Solution
+from warpcontact.unilateral.solving import eliminate, is_regular
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
@@ -72,7 +70,7 @@ class Diagnosis:
         Args:
             weights: Array of the shape of λ; for example 1 for the forces to sum, 0 for others.
         """
-        given = intake.values("weights", weights).reshape(-1)
+        given = arguments.values("weights", weights).reshape(-1)
         if given.size != self.rows:
             raise ValueError(f"weights must be {self.rows} numbers, one for each row of λ, got {given.size}")
         size = np.abs(given).max(initial=0.0)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.kernels.catalogue.keywords import explain_keywords, explain_keywords_of
-from warpcontact.unilateral import intake
+from warpcontact.unilateral import arguments
 from warpcontact.unilateral.solution import Solution
 from warpcontact.validation.checks import Array
 
@@ -58,17 +58,17 @@ class Problem:
     count: int | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self.K = intake.stiffness(self.K)
+        self.K = arguments.stiffness(self.K)
         n = self.K.shape[-1]
-        mu, d = intake.values("mu", self.mu, at_least=0.0), np.atleast_1d(intake.values("d", self.d))
-        self.G, self.dim = intake.gap_rows(self.G, n, d, bool(mu.any()), self.dim)
+        mu, d = arguments.values("mu", self.mu, at_least=0.0), np.atleast_1d(arguments.values("d", self.d))
+        self.G, self.dim = arguments.gap_rows(self.G, n, d, bool(mu.any()), self.dim)
         m = self.G.shape[-3]
-        self.f = intake.fit("f", np.atleast_1d(intake.values("f", self.f)), {"n": n})
-        self.d = intake.fit("d", d, {"m": m})
-        self.mu = intake.fit("mu", mu, {"m": m}, spread=True)
+        self.f = arguments.fit("f", np.atleast_1d(arguments.values("f", self.f)), {"n": n})
+        self.d = arguments.fit("d", d, {"m": m})
+        self.mu = arguments.fit("mu", mu, {"m": m}, spread=True)
         across = {"m": m, "dim − 1": self.dim - 1}
-        self.previous = intake.fit("previous", intake.values("previous", self.previous), across, spread=True)
-        self.count = intake.count_of(
+        self.previous = arguments.fit("previous", arguments.values("previous", self.previous), across, spread=True)
+        self.count = arguments.count_of(
             {
                 "K": len(self.K) if self.K.ndim == 3 else None,
                 "f": len(self.f) if self.f.ndim == 2 else None,
@@ -103,7 +103,7 @@ class Problem:
         Raises:
             ValueError: If there are several problems, too many contacts, or friction in space.
         """
-        from warpcontact.unilateral.states import all_solutions
+        from warpcontact.unilateral.enumeration import all_solutions
 
         return all_solutions(self, tolerance)
 
@@ -123,9 +123,7 @@ class Problem:
         Raises:
             ValueError: If the name does not end in ``.npz``.
         """
-        from warpcontact.unilateral.file import save
-
-        return save(self, path)
+        return arguments.save(self, path)
 
     @staticmethod
     def load(path: str | Path) -> Problem:
@@ -135,11 +133,9 @@ class Problem:
             FileNotFoundError: If there is no such file.
             ValueError: If the file was not written by ``save``, is damaged, or contains invalid values.
         """
-        from warpcontact.unilateral.file import read_arguments
-
-        arguments = read_arguments(path)
+        entries = arguments.read_arguments(path)
         try:
-            return Problem(**arguments)
+            return Problem(**entries)
         except (ValueError, TypeError, OverflowError) as error:
             raise ValueError(f"{path}: {error}") from None
 

@@ -14,7 +14,7 @@ from warpcontact.unilateral.reference.acceleration import (
     find_contact_modes,
     force_basis,
 )
-from warpcontact.unilateral.reference.assembly import Assembler, Assembly
+from warpcontact.unilateral.reference.contacts import Assembler, Assembly
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.unilateral.reference.snapshot import Snapshot
+from warpcontact.unilateral.reference.environment import Snapshot
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 

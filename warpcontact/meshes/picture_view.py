@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from warpcontact.validation.checks import Array
+
 Index = npt.NDArray[np.int64]
 
 # Candidate elevations [°], number of azimuths, and first azimuth [°], which is not along an axis.

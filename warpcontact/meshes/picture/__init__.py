@@ -1,1 +1,0 @@
-"""Pictures of meshes with their defects marked."""
