@@ -367,11 +367,12 @@ def _shaped(
     if flat:
         lam, w = lam[..., 0], w[..., 0]
     converged = termination <= Termination.NOT_UNIQUE
-    values: list[Any] = [u, lam, w, gap, slip, residual, iteration_counts, converged, status]
+    arrays: dict[str, Any] = {"u": u, "lam": lam, "w": w, "gap": gap, "slip": slip, "residual": residual}
+    arrays |= {"iterations": iteration_counts, "converged": converged, "status": status}
     if single:
-        values = [_first(array) for array in values]
+        arrays = {name: _first(array) for name, array in arrays.items()}
         termination, direction = Termination(int(termination[0])), _first(direction)
-    return Solution(*values, method, problem, termination, direction)
+    return Solution(**arrays, method=method, problem=problem, termination=termination, direction=direction)
 
 
 def _first(batch: NDArray[Any] | None) -> Any:
