@@ -25,7 +25,7 @@ from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trust import Trust
 from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation import Variation, truncated
-from warpcontact.forces.nonsmooth.contacts import is_nonsmooth_sensor, sensor_hint
+from warpcontact.forces.nonsmooth.sensors import is_nonsmooth_sensor, sensor_hint
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import stored_name
 from warpcontact.model.environments import Environments

@@ -74,6 +74,15 @@ class ContactGroup:
         """Returns history variable ``name`` of ``part``, a view (envs, contact of the group)."""
         return history_view(getattr(self.history_in, part), name)
 
+    @property
+    def material_inputs(self) -> dict[str, Any]:
+        """Coefficients and history variables of law and friction models, as arguments of kernels."""
+        return {
+            "coefficients": self.coefficients,
+            "history_in": self.history_in,
+            "history_out": self.history_out,
+        }
+
     def histories(self) -> list[tuple[type[Formula], wp.array, wp.array]]:
         """Returns (formula, history_in, history_out) of the parts with history variables."""
         return [

@@ -44,6 +44,7 @@ from warpcontact.kernels.narrowphase.closest_point import (
 )
 from warpcontact.kernels.types import LaunchRange
 from warpcontact.system.compilation import disable_fma
+from warpcontact.system.launches import in_order
 
 if TYPE_CHECKING:
     from warpcontact.forces.contact_groups import ContactGroup
@@ -113,19 +114,24 @@ class ExecutionPlan:
         self,
         kernel: wp.Kernel,
         items: int,
-        inputs: list[Any],
+        /,
+        *,
         threads: int | None = None,
         block_dim: int | None = None,
+        **inputs: Any,
     ) -> list[wp.Launch]:
         """Returns the recorded launch of a kernel as a list; an empty list if there are no items.
 
         Args:
-            kernel: The kernel. Its first argument is a ``LaunchRange``.
+            kernel: The kernel. Its argument ``launch`` is a ``LaunchRange``.
             items: Number of items per environment.
-            inputs: Arguments after the ``LaunchRange``.
             threads: Number of GPU threads. Default: one per item.
             block_dim: Threads per GPU block. Default: ``SMALL_BLOCK`` for small launches, so that they use all
                 multiprocessors, else ``LARGE_BLOCK``.
+            inputs: The other arguments of the kernel, by name.
+
+        Raises:
+            TypeError: If the names are not those of the arguments of the kernel.
         """
         if items == 0:
             return []
@@ -136,9 +142,9 @@ class ExecutionPlan:
         if self.slice is not None:
             work.slice = self.slice
         block_dim = block_dim or (SMALL_BLOCK if work.threads <= launch_shape.SMALL_LAUNCH else LARGE_BLOCK)
-        inputs = [work, *inputs]
+        values = in_order(kernel, {"launch": work, **inputs})
         disable_fma(kernel, device)
-        return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=block_dim)]
+        return [wp.launch(kernel, work.threads, values, device=device, record_cmd=True, block_dim=block_dim)]
 
 
 @dataclass(frozen=True)
@@ -181,15 +187,15 @@ def force_stages(
 
     launches = list(itertools.chain(*(one.detection_launches(plan, state, status) for one in elements)))
     launches += forces(ForceTarget.ENDS)
+    sums = {"queue_count": a.cache.queue_count, "ends": a.coupling_wrenches, "wrenches": a.wrenches}
     if not ordered_sum:
         kernel = wrenches.clear(real, *plan.other_forces)
-        inputs = [status, a.cache.queue_count, a.model, a.coupling_wrenches, a.wrenches]
-        launches += plan.prepare(kernel, model.body_count, inputs)
+        launches += plan.prepare(kernel, model.body_count, status=status, model=a.model, **sums)
     launches += forces(ForceTarget.CLUSTERS)
     if ordered_sum and not by_cluster:
         kernel = wrenches.sum_by_body(real, *plan.other_forces)
-        inputs = [status, a.cache.queue_count, a.model, a.active_contacts, a.coupling_wrenches, a.wrenches]
-        launches += plan.prepare(kernel, model.body_count, inputs)
+        contacts = {"active_contacts": a.active_contacts}
+        launches += plan.prepare(kernel, model.body_count, status=status, model=a.model, **contacts, **sums)
     return launches + forces(ForceTarget.BODIES)
 
 
@@ -199,22 +205,31 @@ def fused_contact_stages(
     """Returns the launches that detect the contacts of a group and compute their forces in one kernel."""
     model = plan.model
     a, codes = model.arrays, (group.parts, model.types.real, group.has_joints, group.projected)
-    state_inputs = [a.model, state, a.history, group.history_in, step]
-    contact_outputs = [group.coefficients, group.history_out, a.cache, a.contacts, a.active_contacts]
+    inputs = {**_contact_inputs(plan, state), **group.material_inputs, "step": step}
     if not plan.uses_queues:
-        kernel = fused_contact.kernel(*codes)
-        return plan.prepare(
-            kernel, group.set_count, [status, *state_inputs, group.first_set, group.first, *contact_outputs]
-        )
-    inputs = [*state_inputs, *contact_outputs, ordered_sum, a.wrenches]
-    kernel = fused_contact_grid.kernel(*codes, plan.shape.small)
-    launches = plan.prepare(kernel, group.cluster_count, [status, *inputs], None, GRID_BLOCK)
+        ranges = {"first_set": group.first_set, "first_contact": group.first}
+        return plan.prepare(fused_contact.kernel(*codes), group.set_count, status=status, **ranges, **inputs)
+    inputs |= {"ordered": ordered_sum, "wrenches": a.wrenches}
+    kernel, count = fused_contact_grid.kernel(*codes, plan.shape.small), group.cluster_count
+    launches = plan.prepare(kernel, count, block_dim=GRID_BLOCK, status=status, **inputs)
     if plan.shape.small:
         return launches
-    threads = min(SEARCH_THREADS, _whole_warps(plan.count * group.cluster_count))
-    return launches + plan.prepare(
-        fused_contact_grid.remaining(*codes), group.cluster_count, inputs, threads, SMALL_BLOCK
-    )
+    threads = min(SEARCH_THREADS, _whole_warps(plan.count * count))
+    kernel = fused_contact_grid.remaining(*codes)
+    return launches + plan.prepare(kernel, count, threads=threads, block_dim=SMALL_BLOCK, **inputs)
+
+
+def _contact_inputs(plan: ExecutionPlan, state: Any) -> dict[str, Any]:
+    """Returns the arguments of kernels that detect contacts of points and meshes."""
+    a = plan.model.arrays
+    return {
+        "model": a.model,
+        "state": state,
+        "history": a.history,
+        "cache": a.cache,
+        "contacts": a.contacts,
+        "active_contacts": a.active_contacts,
+    }
 
 
 def detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
@@ -229,33 +244,35 @@ def detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[
     launches = []
     if plan.uses_cache:
         launches += plan.prepare(
-            motion_bound.kernel(real), model.clusters.set_count, [status, a.model, state, a.cache]
+            motion_bound.kernel(real),
+            model.clusters.set_count,
+            status=status,
+            model=a.model,
+            state=state,
+            cache=a.cache,
         )
     if plan.shape.detection == "queues":
         return launches + _queued_detection_stages(plan, state, status)
-    inputs = [status, a.model, state, a.history, plan.uses_cache, a.cache, a.contacts, a.active_contacts]
-    return launches + plan.prepare(
-        contact_detection.kernel(real, model.has_latched_contacts), model.clusters.count, inputs
-    )
+    kernel, inputs = contact_detection.kernel(real, model.has_latched_contacts), _contact_inputs(plan, state)
+    return launches + plan.prepare(kernel, model.clusters.count, status=status, cached=plan.uses_cache, **inputs)
 
 
 def _grid_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that detect contacts in face grids, and search with a BVH for the remaining ones."""
     model = plan.model
-    a, real, latched, clusters = model.arrays, model.types.real, model.has_latched_contacts, model.clusters.count
-    inputs = [a.model, state, a.history, a.cache, a.contacts, a.active_contacts]
+    real, latched, clusters = model.types.real, model.has_latched_contacts, model.clusters.count
+    inputs = _contact_inputs(plan, state)
     # On a CPU one thread processes a whole cluster.
     width = model.clusters.width if model.device.is_cuda else 0
     single_launch = plan.shape.small or not plan.uses_queues
     kernel = contact_detection_grid.kernel(real, latched, width, single_launch)
     threads, block_dim = _whole_warps(plan.count * clusters * width), warps.LANES if single_launch else GRID_BLOCK
-    launches = plan.prepare(kernel, clusters, [status, *inputs], threads, block_dim)
+    launches = plan.prepare(kernel, clusters, threads=threads, block_dim=block_dim, status=status, **inputs)
     if single_launch:
         return launches
     threads = min(SEARCH_THREADS, _whole_warps(plan.count * clusters))
-    return launches + plan.prepare(
-        contact_detection_grid.remaining(real, latched), clusters, inputs, threads, SMALL_BLOCK
-    )
+    kernel = contact_detection_grid.remaining(real, latched)
+    return launches + plan.prepare(kernel, clusters, threads=threads, block_dim=SMALL_BLOCK, **inputs)
 
 
 def _queued_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
@@ -263,16 +280,16 @@ def _queued_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) 
     model = plan.model
     a, real, latched = model.arrays, model.types.real, model.has_latched_contacts
     clusters, contacts = model.clusters.count, model.contact_count
-    inputs = [a.model, state, a.history, a.cache, a.contacts, a.active_contacts]
-    launches = plan.prepare(
-        contact_detection_queues.enqueue(real, latched), clusters, [contacts, status, a.model, a.cache]
-    )
+    inputs, queues = _contact_inputs(plan, state), {"status": status, "model": a.model, "cache": a.cache}
+    launches = plan.prepare(contact_detection_queues.enqueue(real, latched), clusters, contacts=contacts, **queues)
     if contacts > clusters:
         kernel, threads = (
             contact_detection_queues.probe_clusters(real, latched, a.uses_face_grid),
             min(SEARCH_THREADS, _whole_warps(plan.count * clusters)),
         )
-        launches += plan.prepare(kernel, clusters, [contacts, *inputs], threads, SMALL_BLOCK)
+        launches += plan.prepare(
+            kernel, clusters, threads=threads, block_dim=SMALL_BLOCK, items=contacts, **inputs
+        )
     parts = (
         [DETECT_GRID, DETECT_QUERY]
         if a.uses_face_grid
@@ -284,9 +301,9 @@ def _queued_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) 
         kernel = contact_detection_queues.process(real, latched, part, next_part)
         most = SEARCH_THREADS if part in (DETECT_BVH, DETECT_QUERY) else DETECTION_THREADS
         threads = min(most, _whole_warps(plan.count * contacts))
-        launches += plan.prepare(kernel, contacts, inputs, threads, SMALL_BLOCK)
+        launches += plan.prepare(kernel, contacts, threads=threads, block_dim=SMALL_BLOCK, **inputs)
     return launches + plan.prepare(
-        contact_detection_queues.compact(real), clusters, [status, a.model, a.cache, a.active_contacts]
+        contact_detection_queues.compact(real), clusters, active_contacts=a.active_contacts, **queues
     )
 
 
@@ -304,13 +321,21 @@ def accept_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out:
     launches = []
     if not plan.shape.integrator_accepts:
         single_launch = model.clusters.count > 0 and not model.has_latched_contacts
-        states = [model.body_count, state_in, state_out]
-        inputs = [a.status, dt.clock, a.time, *states]
-        launches += [] if single_launch else plan.prepare(accept_step.kernel(real), 1, inputs)
-        inputs = [a.status, a.time, dt.real, dt.clock, *states]
-        inputs += [a.model, a.contacts, a.active_contacts, a.history, a.cache]
+        inputs = {"status": a.status, "time": a.time, "bodies": model.body_count}
+        inputs |= {"state_in": state_in, "state_out": state_out}
+        if not single_launch:
+            launches += plan.prepare(accept_step.kernel(real), 1, step=dt.clock, **inputs)
         launches += plan.prepare(
-            history.kernel(real, model.has_latched_contacts, single_launch), model.clusters.count, inputs
+            history.kernel(real, model.has_latched_contacts, single_launch),
+            model.clusters.count,
+            step=dt.real,
+            clock_step=dt.clock,
+            model=a.model,
+            contacts=a.contacts,
+            active_contacts=a.active_contacts,
+            history=a.history,
+            cache=a.cache,
+            **inputs,
         )
     for element in plan.force_elements:
         launches += element.accept_launches(plan, dt, state_in)
@@ -320,55 +345,60 @@ def accept_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out:
 def fused_step_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
     """Returns the launch that takes an accepted semi-implicit Euler step of a warp per environment."""
     model, clusters = plan.model, plan.model.clusters
-    a, real, (group,) = model.arrays, model.types.real, model.groups
+    real, (group,) = model.types.real, model.groups
     lanes = warps.LANES if model.device.is_cuda else 1
     codes = group.parts, real, group.projected, model.has_external_forces
     kernel = fused_step.kernel(*codes, clusters.width, clusters.count, lanes)
     # With many environments, each thread has one. With few, a warp has fewer environments, so that there are
     # ``FULL_WARPS`` warps; the lanes share the contacts. A single contact cannot be shared.
     envs_per_warp = lanes if model.contact_count == 1 else min(lanes, max(1, plan.count // FULL_WARPS))
-    inputs = [
-        envs_per_warp,
-        a.status,
-        dt.real,
-        dt.clock,
-        a.time,
-        a.model,
-        a.guard,
-        state_in,
-        a.history,
-        group.history_in,
-    ]
-    inputs += [
-        group.coefficients,
-        group.history_out,
-        a.contacts,
-        a.active_contacts,
-        a.cache,
-        a.coupling_wrenches,
-        state_out,
-    ]
-    block_dim = SMALL_BLOCK if plan.shape.small else LARGE_BLOCK
-    return plan.prepare(kernel, 1, inputs, -(-plan.count // envs_per_warp) * lanes, block_dim)
+    return plan.prepare(
+        kernel,
+        1,
+        threads=-(-plan.count // envs_per_warp) * lanes,
+        block_dim=SMALL_BLOCK if plan.shape.small else LARGE_BLOCK,
+        envs_per_warp=envs_per_warp,
+        state_in=state_in,
+        state_out=state_out,
+        **_step_inputs(plan, dt, group),
+    )
 
 
 def multi_step_stages(plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
     """Returns the multi-step launch of semi-implicit Euler steps of a loop per environment."""
     model, clusters = plan.model, plan.model.clusters
-    a, (group,) = model.arrays, model.groups
+    (group,) = model.groups
     kernel = fused_steps_cpu.kernel(group.parts, model.types.real, group.projected, model.has_external_forces)
-    inputs = [a.status, dt.real, dt.clock, a.time, a.model, a.guard, a.history, group.history_in]
-    inputs += [group.coefficients, group.history_out, a.contacts, a.active_contacts, a.cache, a.coupling_wrenches]
-    return plan.prepare(kernel, 1, [*inputs, clusters.set_count, clusters.count, state])
+    counts, inputs = {"sets": clusters.set_count, "clusters": clusters.count}, _step_inputs(plan, dt, group)
+    return plan.prepare(kernel, 1, state=state, **counts, **inputs)
+
+
+def _step_inputs(plan: ExecutionPlan, dt: StepLength, group: "ContactGroup") -> dict[str, Any]:
+    """Returns the arguments, apart from states, of kernels that take whole steps."""
+    a = plan.model.arrays
+    return {
+        "status": a.status,
+        "step": dt.real,
+        "clock_step": dt.clock,
+        "time": a.time,
+        "model": a.model,
+        "guard": a.guard,
+        "history": a.history,
+        "contacts": a.contacts,
+        "active_contacts": a.active_contacts,
+        "cache": a.cache,
+        "ends": a.coupling_wrenches,
+        **group.material_inputs,
+    }
 
 
 def copy_state_stage(plan: ExecutionPlan, source: Any, target: Any) -> list[wp.Launch]:
     """Returns the launch that copies the state of the active environments; frozen ones are skipped."""
     model = plan.model
     kernel = semi_implicit.copy_state(model.types.real)
-    return plan.prepare(kernel, model.body_count, [model.arrays.status, source, target])
+    return plan.prepare(kernel, model.body_count, status=model.arrays.status, source=source, target=target)
 
 
 def mask_substeps_stage(plan: ExecutionPlan, *, unmask: bool) -> list[wp.Launch]:
     """Returns the launch that pauses all environments without a crossing; with ``unmask``, resumes them."""
-    return plan.prepare(swept.mask_substeps(), 1, [plan.model.arrays.status, int(unmask)])
+    return plan.prepare(swept.mask_substeps(), 1, status=plan.model.arrays.status, restore=int(unmask))

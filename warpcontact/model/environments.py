@@ -226,7 +226,7 @@ class Environments(
         Raises:
             KeyError: If the sensor does not exist; the message suggests the closest name.
         """
-        from warpcontact.forces.nonsmooth.contacts import sensor_hint
+        from warpcontact.forces.nonsmooth.sensors import sensor_hint
 
         hint = partial(sensor_hint, scene=self.scene)
         return find_entry("sensor", name, self.parts[0].sensors, stored_name, hint)

@@ -87,7 +87,14 @@ def sensor_stages(plan: ExecutionPlan, needs: Set[str], state: Any, status: wp.a
     launches = []
     for name, (_, kernel) in body_measures.BODY_MEASURES.items():
         if name in needs:
-            launches += plan.prepare(kernel(real), model.body_count, [status, a.model, state, getattr(a, name)])
+            launches += plan.prepare(
+                kernel(real),
+                model.body_count,
+                status=status,
+                model=a.model,
+                state=state,
+                measured=getattr(a, name),
+            )
     for element in model.force_elements:
         launches += element.sensor_launches(plan, needs, state, status)
     return launches

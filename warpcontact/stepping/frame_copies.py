@@ -71,7 +71,7 @@ class FrameRecording:
         frame_range = wp.zeros(2, dtype=wp.int32, device="cpu")
         # Allocated for all sensors of the model.
         rows = wp.zeros(len(plan.model.sensors), dtype=recording.Row, device="cpu")
-        self.launches = plan.prepare(recording.record_frame(), 1, [frame_range, rows])
+        self.launches = plan.prepare(recording.record_frame(), 1, counters=frame_range, rows=rows)
         # NumPy views, which keep the memory that the launch reads alive.
         self._frame_range, self._rows = frame_range.numpy(), rows.numpy()
 

@@ -17,6 +17,7 @@ from warpcontact.stepping.outcomes.watch import ContactEvents, MonitorSettings, 
 from warpcontact.stepping.slice_stepper import MAX_FRAME_GRAPHS, StepBuffers, StepChunk, Stepper
 from warpcontact.storage.memory_estimate import MemoryEstimate, MemoryItem, total
 from warpcontact.system.capture_lock import shared_capture_lock
+from warpcontact.system.launches import in_order
 from warpcontact.system.resources import HOST, available_threads
 
 if TYPE_CHECKING:
@@ -44,9 +45,21 @@ ARRAY_BYTES = 56
 class KernelLister(ExecutionPlan):
     """Execution plan that returns kernels instead of launches."""
 
-    def prepare(self, kernel: wp.Kernel, items: int, inputs: list[Any], *_: Any, **__: Any) -> list[Any]:
+    def prepare(
+        self,
+        kernel: wp.Kernel,
+        items: int,
+        /,
+        *,
+        threads: int | None = None,
+        block_dim: int | None = None,
+        **inputs: Any,
+    ) -> list[Any]:
         """Returns the kernel of the launch as a list; an empty list if there are no items."""
-        return [kernel] if items else []
+        if items == 0:
+            return []
+        in_order(kernel, {"launch": None, **inputs})
+        return [kernel]
 
 
 def slice_sizes(shares: "Sequence[tuple[DeviceModel | DeviceModelPlan, int]]", threads: int) -> list[int]:

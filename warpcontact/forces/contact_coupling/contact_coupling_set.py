@@ -98,9 +98,20 @@ class ContactCouplingSet(ForceElement):
         a, real = plan.model.arrays, self._types.real
         launches = []
         for group, first, count in self._groups:
-            kernel = kernels.advance(group.parts.law, real, group.projected)
-            inputs = [a.status, a.model, state_in, a.contacts, a.active_contacts, self._sets, first, group.first]
-            launches += plan.prepare(kernel, count, [*inputs, group.coefficients.law, self._extremes])
+            launches += plan.prepare(
+                kernels.advance(group.parts.law, real, group.projected),
+                count,
+                status=a.status,
+                model=a.model,
+                state=state_in,
+                contacts=a.contacts,
+                active_contacts=a.active_contacts,
+                sets=self._sets,
+                first_coupling=first,
+                first_contact=group.first,
+                coefficients=group.coefficients.law,
+                extremes=self._extremes,
+            )
         return launches
 
     def reset_state(self, chosen: wp.array) -> None:

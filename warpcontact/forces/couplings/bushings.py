@@ -72,9 +72,17 @@ class BushingSet(CouplingSet):
         self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
     ) -> list[wp.Launch]:
         """Returns the launch that computes the forces of the bushings."""
-        a, kernel = plan.model.arrays, bushing.kernel(self.types.real)
-        inputs = [status, a.model, state, self.first, self.settings, self._bushings, a.coupling_wrenches]
-        return plan.prepare(kernel, self.count, inputs)
+        return plan.prepare(
+            bushing.kernel(self.types.real),
+            self.count,
+            status=status,
+            model=plan.model.arrays.model,
+            state=state,
+            first=self.first,
+            settings=self.settings,
+            bushings=self._bushings,
+            ends=plan.model.arrays.coupling_wrenches,
+        )
 
 
 def _orientation(body: "Body | None") -> Array:

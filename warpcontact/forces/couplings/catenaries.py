@@ -17,6 +17,7 @@ from warpcontact.scene.status import CatenaryStatus
 from warpcontact.storage.allocation_plan import per_env
 from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.capture_lock import shared_capture_lock
+from warpcontact.system.launches import launch_kernel
 from warpcontact.validation.warning_levels import RunWarning
 
 if TYPE_CHECKING:
@@ -89,18 +90,30 @@ class CatenarySet(CouplingSet):
         self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
     ) -> list[wp.Launch]:
         """Returns the launch that computes the forces of the catenaries."""
-        a, kernel = plan.model.arrays, catenary.kernel(self.types.real, self.floored)
-        inputs = [
-            *(status, a.model, state, self.first, self.settings),
-            *(self._accepted_solution, self._trial_solution, self._lines, a.coupling_wrenches),
-        ]
-        return plan.prepare(kernel, self.count, inputs)
+        a = plan.model.arrays
+        return plan.prepare(
+            catenary.kernel(self.types.real, self.floored),
+            self.count,
+            status=status,
+            model=a.model,
+            state=state,
+            first=self.first,
+            settings=self.settings,
+            last_solution=self._accepted_solution,
+            new_solution=self._trial_solution,
+            lines=self._lines,
+            ends=a.coupling_wrenches,
+        )
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launch that stores the solution as warm start and counts failures."""
-        a, kernel = plan.model.arrays, catenary.accept(self.types.real)
         return plan.prepare(
-            kernel, self.count, [a.status, self._trial_solution, self._accepted_solution, self._lines]
+            catenary.accept(self.types.real),
+            self.count,
+            status=plan.model.arrays.status,
+            new_solution=self._trial_solution,
+            last_solution=self._accepted_solution,
+            lines=self._lines,
         )
 
     def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
@@ -117,7 +130,7 @@ class CatenarySet(CouplingSet):
         """Returns points on a catenary at its last evaluation, (envs, count, 3), world [m]."""
         points = wp.zeros((model.envs, count), dtype=wp.vec3d, device=model.device)
         kernel = line_measures.shapes(self.types.real, self.floored)
-        self._measure(model, kernel, item, points)
+        self._measure(model, kernel, item, points=points)
         return points.numpy()
 
     @shared_capture_lock()
@@ -125,13 +138,24 @@ class CatenarySet(CouplingSet):
         """Returns the derivative of the force on end b by its position, (envs, 3, 3), world [N/m]."""
         rates = wp.zeros(model.envs, dtype=wp.mat33d, device=model.device)
         kernel = line_measures.stiffness(self.types.real, self.floored)
-        self._measure(model, kernel, item, rates)
+        self._measure(model, kernel, item, rates=rates)
         return rates.numpy()
 
-    def _measure(self, model: "DeviceModel", kernel: wp.Kernel, item: int, target: wp.array) -> None:
-        a = model.arrays
-        inputs = [a.model, a.state, self.first, item, self.settings, self._trial_solution]
-        wp.launch(kernel, dim=target.shape, inputs=inputs, outputs=[target], device=model.device)
+    def _measure(self, model: "DeviceModel", kernel: wp.Kernel, item: int, **target: wp.array) -> None:
+        """Launches a kernel for a catenary, one thread per element of the array ``target``."""
+        (array,) = target.values()
+        launch_kernel(
+            kernel,
+            array.shape,
+            device=model.device,
+            model=model.arrays.model,
+            state=model.arrays.state,
+            first=self.first,
+            line=item,
+            settings=self.settings,
+            solution=self._trial_solution,
+            **target,
+        )
 
     def failures(self) -> dict[str, NDArray[np.int32]]:
         """Returns the number of steps since reset in which a catenary did not converge, (envs,) by name."""

@@ -142,22 +142,25 @@ class SpringSet(CouplingSet):
     ) -> list[wp.Launch]:
         """Returns the launch that computes the forces of the spring-dampers."""
         a = plan.model.arrays
-        inputs = [
-            status,
-            a.model,
-            state,
-            self.first,
-            self._coefficients,
-            *self._tables,
-            self._springs,
-            a.coupling_wrenches,
-        ]
-        return plan.prepare(self.kernel, self.count, inputs)
+        spring_tables, damper_tables = self._tables
+        return plan.prepare(
+            self.kernel,
+            self.count,
+            status=status,
+            model=a.model,
+            state=state,
+            first=self.first,
+            coefficients=self._coefficients,
+            spring_tables=spring_tables,
+            damper_tables=damper_tables,
+            springs=self._springs,
+            ends=a.coupling_wrenches,
+        )
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launch that stores which springs broke, and their directions."""
         a, kernel = plan.model.arrays, spring.accept(self.types.real)
-        return plan.prepare(kernel, self.count, [a.status, self._springs])
+        return plan.prepare(kernel, self.count, status=a.status, springs=self._springs)
 
     def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
         """Returns the warnings about the step length."""

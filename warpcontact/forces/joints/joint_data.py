@@ -52,9 +52,13 @@ class PrescribedMotionSet:
     arrays: MotionArrays
 
     @property
-    def inputs(self) -> list[wp.array]:
-        """Kernel arguments: members, coefficients, samples."""
-        return [self.arrays.members, self.arrays.coefficients, self.arrays.samples]
+    def inputs(self) -> dict[str, wp.array]:
+        """Its arrays as arguments of kernels."""
+        return {
+            "members": self.arrays.members,
+            "coefficients": self.arrays.coefficients,
+            "samples": self.arrays.samples,
+        }
 
     def compile(self, device: wp.Device, real: type) -> None:
         """Compiles the step kernel of a user-defined motion, to report errors early.

@@ -15,6 +15,7 @@ from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TIME_FU
 from warpcontact.scene.elements import Body
 from warpcontact.storage.allocation_plan import SENSOR_PURPOSE, AllocationPlan, per_env
 from warpcontact.storage.model_arrays import ModelArrays
+from warpcontact.system.launches import launch_kernel
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
@@ -78,8 +79,20 @@ class JointSet(ForceElement):
         a, positions, launches = plan.model.arrays, list(positions), []
         for motion_set in self.prescribed_motions:
             for length, span, state in positions:
-                inputs = [a.status, length, a.time, a.model, a.guard, *motion_set.inputs, *span, a.wrenches, state]
-                launches += plan.prepare(driven.follow(motion_set.motion, self._real), motion_set.count, inputs)
+                launches += plan.prepare(
+                    driven.follow(motion_set.motion, self._real),
+                    motion_set.count,
+                    status=a.status,
+                    step=length,
+                    time=a.time,
+                    model=a.model,
+                    guard=a.guard,
+                    first=span[0],
+                    last=span[1],
+                    wrenches=a.wrenches,
+                    state_out=state,
+                    **motion_set.inputs,
+                )
         return launches
 
     def integration_launches(
@@ -87,18 +100,34 @@ class JointSet(ForceElement):
     ) -> list[wp.Launch]:
         """Returns the launches that step the bodies with joints, then those with prescribed motion."""
         a = plan.model.arrays
-        inputs = [a.status, dt.real, a.model, a.guard, self.constrained, state_in, a.wrenches, state_out]
-        launches = plan.prepare(step.semi_implicit_euler(self._real), self._constrained_count, inputs)
+        launches = plan.prepare(
+            step.semi_implicit_euler(self._real),
+            self._constrained_count,
+            status=a.status,
+            step=dt.real,
+            model=a.model,
+            guard=a.guard,
+            members=self.constrained,
+            state_in=state_in,
+            wrenches=a.wrenches,
+            state_out=state_out,
+        )
         return launches + self.motion_launches(plan, [(dt.clock, (0.0, 1.0), state_out)])
 
     def change_launches(self, plan: "ExecutionPlan", change: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that adapt velocities to a change of the step length [env, 0] [s]."""
         a, real = plan.model.arrays, self._real
-        inputs = [a.status, change, a.model, self.constrained, a.wrenches, state]
-        launches = plan.prepare(step.change_step(real), self._constrained_count, inputs)
+        inputs = {"status": a.status, "change": change, "model": a.model, "state": state}
+        launches = plan.prepare(
+            step.change_step(real),
+            self._constrained_count,
+            members=self.constrained,
+            wrenches=a.wrenches,
+            **inputs,
+        )
         for motion_set in self.prescribed_motions:
-            inputs = [a.status, change, a.time, a.model, *motion_set.inputs, state]
-            launches += plan.prepare(driven.change_step(motion_set.motion, real), motion_set.count, inputs)
+            kernel = driven.change_step(motion_set.motion, real)
+            launches += plan.prepare(kernel, motion_set.count, time=a.time, **motion_set.inputs, **inputs)
         return launches
 
     def reset_state(self, chosen: wp.array) -> None:
@@ -107,11 +136,15 @@ class JointSet(ForceElement):
         kernel, shape = step.project_velocities(real), (envs, self._body_count)
         wp.launch(kernel, dim=shape, inputs=[chosen, a.model, a.state], device=chosen.device)
         for motion_set in self.prescribed_motions:
-            wp.launch(
+            launch_kernel(
                 driven.start(motion_set.motion, real),
-                dim=(envs, motion_set.count),
-                inputs=[chosen, a.time, a.model, *motion_set.inputs, a.state],
+                (envs, motion_set.count),
                 device=chosen.device,
+                mask=chosen,
+                time=a.time,
+                model=a.model,
+                state=a.state,
+                **motion_set.inputs,
             )
 
     def sets_initial_state(self, struct: Any, attribute: str) -> bool:
@@ -133,8 +166,14 @@ class JointSet(ForceElement):
         """Returns the launch that computes joint coordinates."""
         if "coordinates" not in needs:
             return []
-        inputs = [status, plan.model.arrays.model, state, self.measures.get("coordinates")]
-        return plan.prepare(coordinates(self._real), self._body_count, inputs)
+        return plan.prepare(
+            coordinates(self._real),
+            self._body_count,
+            status=status,
+            model=plan.model.arrays.model,
+            state=state,
+            measured=self.measures.get("coordinates"),
+        )
 
     def measure(self, model: "DeviceModel", needs: Collection[str]) -> None:
         """Computes reaction forces from the last evaluated wrenches."""
@@ -142,12 +181,15 @@ class JointSet(ForceElement):
             return
         a, measured = model.arrays, self.measures["reactions"]
         for motion_set in self.prescribed_motions:
-            wp.launch(
+            launch_kernel(
                 driven.accelerate(motion_set.motion, self._real),
-                dim=(model.envs, motion_set.count),
-                inputs=[a.time, a.model, *motion_set.inputs],
-                outputs=[measured.linear, measured.angular],
+                (model.envs, motion_set.count),
                 device=model.device,
+                time=a.time,
+                model=a.model,
+                linear=measured.linear,
+                angular=measured.angular,
+                **motion_set.inputs,
             )
         inputs, shape = [a.model, a.state, a.wrenches], (model.envs, self._body_count)
         wp.launch(reactions(self._real), dim=shape, inputs=inputs, outputs=[measured], device=model.device)

@@ -98,10 +98,23 @@ class MeshContact(ForceElement):
             for first_cluster, count in (
                 clusters if plan.nonsmooth is None else plan.nonsmooth.compliant_clusters(group)
             ):
-                inputs = [status, a.model, state, a.history, group.history_in, step, first_cluster]
-                inputs += [group.first, group.coefficients, a.contacts, group.history_out, a.active_contacts]
-                inputs += [plan.write_outputs, ordered_sum, a.wrenches]
-                launches += plan.prepare(group.kernel, count, inputs)
+                launches += plan.prepare(
+                    group.kernel,
+                    count,
+                    status=status,
+                    model=a.model,
+                    state=state,
+                    history=a.history,
+                    step=step,
+                    first_cluster=first_cluster,
+                    first_contact=group.first,
+                    contacts=a.contacts,
+                    active_contacts=a.active_contacts,
+                    write_outputs=plan.write_outputs,
+                    ordered=ordered_sum,
+                    wrenches=a.wrenches,
+                    **group.material_inputs,
+                )
         return launches
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
@@ -109,9 +122,17 @@ class MeshContact(ForceElement):
         a, launches = plan.model.arrays, []
         for group in self._table.groups:
             for formula, history_in, history_out in group.histories():
-                inputs = [a.status, a.model, a.active_contacts, group.first_cluster, group.first]
-                kernel = history.material_history_kernel(formula, self._types.real)
-                launches += plan.prepare(kernel, group.cluster_count, [*inputs, history_out, history_in])
+                launches += plan.prepare(
+                    history.material_history_kernel(formula, self._types.real),
+                    group.cluster_count,
+                    status=a.status,
+                    model=a.model,
+                    active_contacts=a.active_contacts,
+                    first_cluster=group.first_cluster,
+                    first_contact=group.first,
+                    history_in=history_in,
+                    history_out=history_out,
+                )
         return launches
 
     def reset_state(self, chosen: wp.array) -> None:
@@ -152,8 +173,15 @@ class MeshContact(ForceElement):
         if "points" not in needs:
             return []
         a = plan.model.arrays
-        inputs = [status, a.model, state, a.contacts, self.measures.get("points")]
-        return plan.prepare(body_measures.points(self._types.real), self._count, inputs)
+        return plan.prepare(
+            body_measures.points(self._types.real),
+            self._count,
+            status=status,
+            model=a.model,
+            state=state,
+            contacts=a.contacts,
+            measured=self.measures.get("points"),
+        )
 
     def sensors(self) -> Iterator[Sensor]:
         """Yields the sensors of the contacts."""

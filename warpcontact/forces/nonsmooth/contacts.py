@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from warpcontact.forces.contact_groups import ContactGroup, group_by_model
 from warpcontact.forces.force_element import ForceElement
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP, NonsmoothSource, material_upload, parameters_of
+from warpcontact.forces.nonsmooth.sensors import OF_SCENE
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
 from warpcontact.forces.sensor import Sensor
 from warpcontact.kernels.contact.impulse_records import record_structs
@@ -34,7 +35,7 @@ from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import Parameter
 from warpcontact.storage.state_storage import COUNT, SWITCH, Allowed
 from warpcontact.system.capture_lock import shared_capture_lock
-from warpcontact.validation.checks import similar
+from warpcontact.system.launches import launch_kernel
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
@@ -288,6 +289,17 @@ class NonsmoothContacts(ForceElement):
         """Working memory of each solver, by name [env, row]."""
         return {name: own.rows for name, own in self._scratch.items()}
 
+    @property
+    def problem_inputs(self) -> dict[str, Any]:
+        """The contact problem of a step, as arguments of kernels."""
+        return {
+            "rows": self.rows,
+            "body_response": self.body_response,
+            "solve_result": self.solve_result,
+            "velocity_change": self.velocity_change,
+            "tolerance": self.tolerance,
+        }
+
     def is_compliant(self, name: str) -> bool:
         """Returns whether the contact ``name`` is compliant."""
         return name in self.compliant
@@ -347,53 +359,53 @@ class NonsmoothContacts(ForceElement):
     def collect_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
         """Returns the launches that collect the closed contacts at half a step as rows."""
         a, real = plan.model.arrays, self._real
-        outputs = [
-            self.recovery,
-            self.material,
-            self.stored_impulses,
-            self.statistics,
-            self.rows,
-            self.solve_result,
-        ]
+        inputs = {
+            "status": a.status,
+            "state": self.half_step_state,
+            "recovery": self.recovery,
+            "material": self.material,
+            "stored_impulses": self.stored_impulses,
+            "statistics": self.statistics,
+            "rows": self.rows,
+            "solve_result": self.solve_result,
+        }
         launches = []
         if self._mesh.count:
-            blocks = self._mesh_blocks
-            inputs = [
-                a.status,
-                a.model,
-                self.half_step_state,
-                a.contacts,
-                a.active_contacts,
-                blocks.items,
-                blocks.count,
-            ]
-            launches += plan.prepare(build_rows.mesh_rows(real), 1, [*inputs, *outputs])
+            launches += plan.prepare(
+                build_rows.mesh_rows(real),
+                1,
+                model=a.model,
+                contacts=a.contacts,
+                active_contacts=a.active_contacts,
+                clusters=self._mesh_blocks.items,
+                block_count=self._mesh_blocks.count,
+                **inputs,
+            )
         for one, own in self._shape_contact_sets:
             if own.count:
-                inputs = [
-                    a.status,
-                    self.half_step_state,
-                    own.first,
-                    own.items,
-                    own.count,
-                    one.contact_shapes,
-                    one.settings,
-                ]
                 launches += plan.prepare(
-                    build_rows.shape_rows(real, one.needs_curvature), 1, [*inputs, one.shape_contacts, *outputs]
+                    build_rows.shape_rows(real, one.needs_curvature),
+                    1,
+                    first=own.first,
+                    items=own.items,
+                    item_count=own.count,
+                    contact_shapes=one.contact_shapes,
+                    settings=one.settings,
+                    shape_contacts=one.shape_contacts,
+                    **inputs,
                 )
         for particle_set, material in self._particle_contact_sets:
-            contact = particle_set.contact
-            inputs = [
-                a.status,
-                self.half_step_state,
-                contact.count,
-                particle_set.particles,
-                particle_set.neighbor_lists,
-                particle_set.pair_records,
-            ]
-            inputs += [self._first_records[contact], material]
-            launches += plan.prepare(build_rows.particle_rows(real), 1, [*inputs, *outputs])
+            launches += plan.prepare(
+                build_rows.particle_rows(real),
+                1,
+                particle_count=particle_set.contact.count,
+                particles=particle_set.particles,
+                neighbor_lists=particle_set.neighbor_lists,
+                pair_records=particle_set.pair_records,
+                first=self._first_records[particle_set.contact],
+                material_index=material,
+                **inputs,
+            )
         return launches
 
     def sleep_stages(self, plan: "ExecutionPlan", step: wp.array) -> list[wp.Launch]:
@@ -406,8 +418,14 @@ class NonsmoothContacts(ForceElement):
         others = model.has_latched_contacts or not all(element.fused for element in model.force_elements)
         if self.monitored or others or any(self.compliant_clusters(group) for group in model.groups):
             return []
-        inputs = [model.arrays.status, step, model.arrays.time, self.statistics]
-        return plan.prepare(save_impulses.skip_sleeping(self._real), 1, inputs)
+        return plan.prepare(
+            save_impulses.skip_sleeping(self._real),
+            1,
+            status=model.arrays.status,
+            step=step,
+            time=model.arrays.time,
+            statistics=self.statistics,
+        )
 
     @shared_capture_lock()
     def wake(self) -> None:
@@ -421,24 +439,39 @@ class NonsmoothContacts(ForceElement):
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launch that stores impulses and statistics of an accepted step."""
-        inputs = [plan.model.arrays.status, dt.real, self.tolerance, plan.model.body_count]
-        inputs += [self.half_step_state, self.rows, self.body_response]
-        inputs += [
-            self.solve_result,
-            self.restitution_limit,
-            self.stored_impulses,
-            self.statistics,
-            self.reactions,
-        ]
-        return plan.prepare(save_impulses.kernel(self._real, plan.model.has_joints, self.rolls), 1, inputs)
+        return plan.prepare(
+            save_impulses.kernel(self._real, plan.model.has_joints, self.rolls),
+            1,
+            status=plan.model.arrays.status,
+            step=dt.real,
+            tolerance=self.tolerance,
+            bodies=plan.model.body_count,
+            half_step_state=self.half_step_state,
+            rows=self.rows,
+            body_response=self.body_response,
+            solve_result=self.solve_result,
+            restitution_limit=self.restitution_limit,
+            stored_impulses=self.stored_impulses,
+            statistics=self.statistics,
+            reactions=self.reactions,
+        )
 
     def reset_state(self, chosen: wp.array) -> None:
         """Clears stored impulses and statistics in the environments of the mask ``chosen`` [env]."""
         self._reset(chosen, all_statistics=True)
 
     def _reset(self, chosen: wp.array, all_statistics: bool) -> None:
-        inputs = [chosen, int(all_statistics), self._bodies, self.solve_result, self.statistics, self.reactions]
-        wp.launch(save_impulses.reset(self._real), dim=len(chosen), inputs=inputs, device=self._device)
+        launch_kernel(
+            save_impulses.reset(self._real),
+            len(chosen),
+            device=self._device,
+            mask=chosen,
+            all_statistics=int(all_statistics),
+            bodies=self._bodies,
+            solve_result=self.solve_result,
+            statistics=self.statistics,
+            reactions=self.reactions,
+        )
 
     def show_stages(self, plan: "ExecutionPlan", status: wp.array) -> list[wp.Launch]:
         """Returns the launches that copy the last step to the sensor arrays of mesh and shape contacts.
@@ -457,17 +490,18 @@ class NonsmoothContacts(ForceElement):
             )
         launches = []
         for own, kernel, target in targets:
-            inputs = [
-                status,
-                self._step,
-                own.first,
-                own.items,
-                self.stored_impulses,
-                self.statistics,
-                target,
-                self.displayed,
-            ]
-            launches += plan.prepare(kernel, own.count, inputs)
+            launches += plan.prepare(
+                kernel,
+                own.count,
+                status=status,
+                step=self._step,
+                first=own.first,
+                items=own.items,
+                stored_impulses=self.stored_impulses,
+                statistics=self.statistics,
+                contacts=target,
+                displayed=self.displayed,
+            )
         return launches
 
     def show(self, model: "DeviceModel") -> None:
@@ -479,18 +513,19 @@ class NonsmoothContacts(ForceElement):
             ExecutionPlan(model, model.envs, uses_cache=False, ordered_sum=True), model.active_status
         ):
             launch.launch()
-        stored_count = [self.stored_impulses, self.statistics]
         for particle_set, _ in self._particle_contact_sets:
-            inputs = [
-                self._step,
-                self._first_records[particle_set.contact],
-                particle_set.particles,
-                particle_set.neighbor_lists,
-                *stored_count,
-                particle_set.pair_records,
-            ]
-            shape = (model.envs, particle_set.contact.count)
-            wp.launch(save_impulses.display_particles(real), dim=shape, inputs=inputs, device=device)
+            launch_kernel(
+                save_impulses.display_particles(real),
+                (model.envs, particle_set.contact.count),
+                device=device,
+                step=self._step,
+                first=self._first_records[particle_set.contact],
+                particles=particle_set.particles,
+                neighbor_lists=particle_set.neighbor_lists,
+                stored_impulses=self.stored_impulses,
+                statistics=self.statistics,
+                pair_records=particle_set.pair_records,
+            )
         shape = (model.envs, model.body_count)
         wp.launch(
             save_impulses.reaction_forces(real), dim=shape, inputs=[self.reactions, a.wrenches], device=device
@@ -521,54 +556,6 @@ class NonsmoothContacts(ForceElement):
 
     def _of_scene(self, part: str, attribute: str) -> Callable[[ModelArrays], wp.array]:
         return lambda _: getattr(getattr(self, part), attribute)
-
-
-# name: (struct, array, unit, meaning)
-OF_SCENE = {
-    "closed_contacts": ("solve_result", "count", "-", "number of closed nonsmooth contacts in the last step"),
-    "solve_residual": (
-        "solve_result",
-        "residual",
-        "-",
-        "relative residual of the contact problem of the last step",
-    ),
-    "solve_iterations": ("solve_result", "iterations", "-", "number of solver iterations in the last step"),
-    "solve_converged": ("solve_result", "converged", "-", "1: the solver converged in the last step"),
-    "solve_failures": ("statistics", "failures", "-", "number of steps without convergence, since reset"),
-    "restitution_limited": (
-        "statistics",
-        "restitution_limited",
-        "-",
-        "number of steps in which restitution was reduced, so that impacts add no energy",
-    ),
-    "friction_dissipation": (
-        "statistics",
-        "friction_dissipation",
-        "J",
-        "energy dissipated by friction of nonsmooth contacts, since reset",
-    ),
-    "impact_dissipation": (
-        "statistics",
-        "impact_dissipation",
-        "J",
-        "energy dissipated by impacts of nonsmooth contacts, since reset",
-    ),
-}
-
-
-def is_nonsmooth_sensor(name: str) -> bool:
-    """Returns whether a sensor, given by name, exists only with nonsmooth contact."""
-    element, _, quantity = name.rpartition(".")
-    return quantity in OF_SCENE if element == "scene" else quantity in ("impulse", "mode")
-
-
-def sensor_hint(name: str, stored_count: Collection[str], scene: SceneData) -> str:
-    """Returns the end of a message about an unknown sensor: the required integrator, or similar names."""
-    element = name.rpartition(".")[0]
-    contacts = {contact.name for contact in scene.contacts} | {contact.name for contact in scene.shape_contacts}
-    if is_nonsmooth_sensor(name) and (element == "scene" or element in contacts):
-        return "; only nonsmooth contact has it, with the integrator MoreauJean"
-    return similar(name, stored_count)
 
 
 def _slice(first: int, count: int) -> slice:

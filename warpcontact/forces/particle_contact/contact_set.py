@@ -40,6 +40,7 @@ from warpcontact.scene.shapes import Shape
 from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
 from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack
 from warpcontact.storage.state_storage import COUNT
+from warpcontact.system.launches import launch_kernel
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
@@ -397,100 +398,87 @@ class ParticleContactSet(ForceElement):
 
         For nonsmooth contact, only pairs are detected.
         """
-        model = plan.model.arrays.model
-        count, wrenches = self.contact.count, plan.model.arrays.wrenches
-        particles, neighbor_lists, pair_records, cell_list = (
-            self.particles,
-            self.neighbor_lists,
-            self.pair_records,
-            self.cell_list,
-        )
         launches = [] if self.all_pairs else self._list_stages(plan, state, status)
         nonsmooth = self._is_nonsmooth(plan)
-        kernel = self._detection_kernel if nonsmooth else self._kernel
-        inputs = [
-            status,
-            model,
-            state,
-            particles,
-            neighbor_lists,
-            cell_list,
-            self._memory,
-            step,
-            self._coefficients,
-            pair_records,
-        ]
-        inputs += [self._history_out, plan.write_outputs, wrenches]
-        launches += plan.prepare(kernel, count, inputs, block_dim=SMALL_BLOCK)
+        inputs = {"status": status, "state": state, "wrenches": plan.model.arrays.wrenches, **self.pair_inputs}
+        launches += plan.prepare(
+            self._detection_kernel if nonsmooth else self._kernel,
+            self.contact.count,
+            block_dim=SMALL_BLOCK,
+            model=plan.model.arrays.model,
+            cell_list=self.cell_list,
+            history_in=self._memory,
+            step=step,
+            coefficients=self._coefficients,
+            history_out=self._history_out,
+            write_outputs=plan.write_outputs,
+            **inputs,
+        )
         if not (self._single_thread or nonsmooth or by_cluster):
-            adding = sums.add(self.real, self._one_per_body)
-            inputs = [status, state, particles, neighbor_lists, pair_records, wrenches]
-            launches += plan.prepare(adding, self._owners, inputs, block_dim=SMALL_BLOCK)
+            kernel = sums.add(self.real, self._one_per_body)
+            launches += plan.prepare(kernel, self._owners, block_dim=SMALL_BLOCK, **inputs)
         return launches
+
+    @property
+    def pair_inputs(self) -> dict[str, Any]:
+        """Arguments of kernels that go through the pairs of each particle."""
+        return {
+            "particles": self.particles,
+            "neighbor_lists": self.neighbor_lists,
+            "pair_records": self.pair_records,
+        }
 
     def _list_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that rebuild the neighbor lists of environments in which they are no longer valid."""
         count, buckets, real, traits = self.contact.count, self._buckets, self.real, self._traits
-        particles, neighbor_lists, pair_records, cell_list = (
-            self.particles,
-            self.neighbor_lists,
-            self.pair_records,
-            self.cell_list,
-        )
-        impulses = []
+        cells = {"status": status, "cell_list": self.cell_list}
+        positions = {"state": state, "particles": self.particles, **cells}
+        pairs = {"particles": self.particles, "neighbor_lists": self.neighbor_lists, **cells}
+        launches = plan.prepare(lists.check_validity(traits, real), count, **positions)
+        launches += plan.prepare(lists.clear(real), buckets, **cells)
+        launches += plan.prepare(lists.fill(traits, real), count, buckets=buckets, **positions)
+        kernel = lists.build(traits, real)
+        launches += plan.prepare(kernel, count, buckets=buckets, state=state, **cells, **self.pair_inputs)
         if plan.nonsmooth is not None and self._is_nonsmooth(plan):
-            inputs = [
-                status,
-                particles,
-                neighbor_lists,
-                cell_list,
-                plan.nonsmooth.first_record_of(self.contact),
-                plan.nonsmooth.stored_impulses,
-            ]
-            impulses = plan.prepare(lists.transfer_impulses(real), count, inputs)
-        return [
-            *plan.prepare(lists.check_validity(traits, real), count, [status, state, particles, cell_list]),
-            *plan.prepare(lists.clear(real), buckets, [status, cell_list]),
-            *plan.prepare(lists.fill(traits, real), count, [status, buckets, state, particles, cell_list]),
-            *plan.prepare(
-                lists.build(traits, real),
-                count,
-                [status, buckets, state, particles, neighbor_lists, pair_records, cell_list],
-            ),
-            *impulses,
-            *plan.prepare(
-                lists.transfer_history(self._parts, real),
-                count,
-                [status, particles, neighbor_lists, pair_records, cell_list, self._history_out, self._memory],
-            ),
-            *plan.prepare(lists.build_reverse(real), count, [status, particles, neighbor_lists, cell_list]),
-        ]
+            kernel, first = lists.transfer_impulses(real), plan.nonsmooth.first_record_of(self.contact)
+            launches += plan.prepare(kernel, count, first=first, stored=plan.nonsmooth.stored_impulses, **pairs)
+        launches += plan.prepare(
+            lists.transfer_history(self._parts, real),
+            count,
+            pair_records=self.pair_records,
+            history_out=self._history_out,
+            memory=self._memory,
+            **pairs,
+        )
+        return launches + plan.prepare(lists.build_reverse(real), count, **pairs)
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launch that advances the pair history after an accepted step."""
-        status = plan.model.arrays.status
-        inputs = [status, self.particles, self.neighbor_lists, self.pair_records, self._history_out, self._memory]
-        kernel = history.accept(self._parts, self.real, self._is_nonsmooth(plan))
-        return plan.prepare(kernel, self.contact.count, inputs, block_dim=SMALL_BLOCK)
+        return plan.prepare(
+            history.accept(self._parts, self.real, self._is_nonsmooth(plan)),
+            self.contact.count,
+            block_dim=SMALL_BLOCK,
+            status=plan.model.arrays.status,
+            history_out=self._history_out,
+            memory=self._memory,
+            **self.pair_inputs,
+        )
 
     def _is_nonsmooth(self, plan: "ExecutionPlan") -> bool:
         return plan.nonsmooth is not None and not plan.nonsmooth.is_compliant(self.contact.name)
 
     def reset_state(self, chosen: wp.array) -> None:
         """Clears the pair history in the environments of the mask ``chosen`` [env]."""
-        inputs = [
-            chosen,
-            self.pair_records.flags,
-            self.pair_records.particle_flags,
-            self.cell_list.valid,
-            self.cell_list.build_count,
-            self.cell_list.overflow,
-        ]
-        wp.launch(
+        launch_kernel(
             history.reset(),
-            dim=(len(chosen), max(self.slots, self.contact.count)),
-            inputs=inputs,
+            (len(chosen), max(self.slots, self.contact.count)),
             device=chosen.device,
+            mask=chosen,
+            flags=self.pair_records.flags,
+            particle_flags=self.pair_records.particle_flags,
+            valid=self.cell_list.valid,
+            build_count=self.cell_list.build_count,
+            overflow=self.cell_list.overflow,
         )
 
     def invalidate_caches(self) -> None:
@@ -527,12 +515,9 @@ class ParticleContactSet(ForceElement):
         """Computes its sensors from the last computed forces."""
         if "particles" not in needs:
             return
-        inputs, outputs = [self.particles, self.neighbor_lists, self.pair_records], [self.measured]
-        count, device = self.contact.count, model.device
-        kernel = measures.particles(self.real)
-        wp.launch(kernel, dim=(model.envs, count), inputs=inputs, outputs=outputs, device=device)
-        kernel = measures.totals(self.real)
-        wp.launch(kernel, dim=model.envs, inputs=[count, *inputs], outputs=outputs, device=device)
+        inputs, count, device = {"measured": self.measured, **self.pair_inputs}, self.contact.count, model.device
+        launch_kernel(measures.particles(self.real), (model.envs, count), device=device, **inputs)
+        launch_kernel(measures.totals(self.real), model.envs, device=device, count=count, **inputs)
 
     def sensors(self) -> Iterator[Sensor]:
         """Yields the sensors of the particle contact."""
@@ -559,12 +544,12 @@ def _parameter(parameters: Parameters, shape: Shape, key: str) -> Parameter | No
     return parameters.by_name.get(f"{shape.name}.{key}")
 
 
-def particle_arrays(particle_set: ParticleContactSet | None, real: type) -> list[Any]:
-    """Returns the kernel arguments of a particle contact; empty structs if there is none."""
+def pair_inputs(particle_set: ParticleContactSet | None, real: type) -> dict[str, Any]:
+    """Returns the arguments of kernels that go through the pairs of particles; empty structs if there is no contact."""
     if particle_set is not None:
-        return [particle_set.particles, particle_set.neighbor_lists, particle_set.pair_records]
+        return particle_set.pair_inputs
     t = particle_structs(real)
-    return [t.Particles(), t.NeighborLists(), t.PairRecords()]
+    return {"particles": t.Particles(), "neighbor_lists": t.NeighborLists(), "pair_records": t.PairRecords()}
 
 
 def declare(context: BuildContext, elements: Sequence[ParticleContact]) -> list[ForceElement]:

@@ -274,40 +274,59 @@ class ShapeContactSet(ForceElement):
         self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
     ) -> list[wp.Launch]:
         """Returns the launches of narrow phase and contact forces in ``state``; nonsmooth contacts have no force."""
-        a, settings = plan.model.arrays, self.settings
-        launches = []
+        a, launches = plan.model.arrays, []
+        inputs = {
+            "contact_shapes": self.contact_shapes,
+            "settings": self.settings,
+            "shape_contacts": self.shape_contacts,
+        }
         for kinds, items in self.ranges:
             kernel = narrow_phase.kernel(*kinds, self.real, self.needs_curvature, self.needs_surface_axes)
-            arrays = (self.shapes[kind].arrays for kind in kinds)
-            inputs = [status, state, items.start, self.contact_shapes, *arrays, settings]
-            inputs += [self.warm_starts, self.new_warm_starts, self.shape_contacts]
-            launches += plan.prepare(kernel, items.stop - items.start, inputs)
+            launches += plan.prepare(
+                kernel,
+                items.stop - items.start,
+                status=status,
+                state=state,
+                first=items.start,
+                shapes_a=self.shapes[kinds[0]].arrays,
+                shapes_b=self.shapes[kinds[1]].arrays,
+                warm_starts=self.warm_starts,
+                new_warm_starts=self.new_warm_starts,
+                **inputs,
+            )
         acting = [(0, self.count)] if plan.nonsmooth is None else plan.nonsmooth.compliant_items(self.items)
         for first, count in acting:
-            inputs = [
-                status,
-                a.model,
-                state,
-                self.memory,
-                step,
-                first,
-                self.first_end,
-                self.contact_shapes,
-                settings,
-            ]
-            inputs += [self.coefficients, self.shape_contacts, self.history_out, a.coupling_wrenches]
-            launches += plan.prepare(self.kernel, count, inputs)
+            launches += plan.prepare(
+                self.kernel,
+                count,
+                status=status,
+                model=a.model,
+                state=state,
+                history_in=self.memory,
+                step=step,
+                first=first,
+                first_end=self.first_end,
+                coefficients=self.coefficients,
+                history_out=self.history_out,
+                ends=a.coupling_wrenches,
+                **inputs,
+            )
         return launches
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launches that store warm starts and advance the history after an accepted step."""
         status = plan.model.arrays.status
-        inputs = [status, self.new_warm_starts, self.warm_starts, self.shape_contacts]
-        launches = plan.prepare(force.accept_contacts(self.real), self.count, inputs)
+        launches = plan.prepare(
+            force.accept_contacts(self.real),
+            self.count,
+            status=status,
+            new_warm_starts=self.new_warm_starts,
+            warm_starts=self.warm_starts,
+            shape_contacts=self.shape_contacts,
+        )
         for formula, memory, history_out in self.memories():
-            launches += plan.prepare(
-                force.advance_history(formula, self.real), self.count, [status, history_out, memory]
-            )
+            kernel = force.advance_history(formula, self.real)
+            launches += plan.prepare(kernel, self.count, status=status, history_out=history_out, memory=memory)
         return launches
 
     def reset_state(self, chosen: wp.array) -> None:

@@ -2,11 +2,10 @@
 
 from typing import TYPE_CHECKING, Any
 
-import warp as wp
-
 from warpcontact.kernels.shapes import measures
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.curvature import pair_curvature
+from warpcontact.system.launches import launch_kernel
 
 if TYPE_CHECKING:
     from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
@@ -17,14 +16,22 @@ def measure(name: str, own: "ShapeContactSet", model: "DeviceModel") -> None:
     """Computes the measure ``name`` of a set of shape contacts from their last evaluation."""
     for kinds, items in own.ranges:
         if name == "shape_points":
-            kernel, inputs = _points(model, own, kinds, items.start)
+            kernel, inputs = measures.points(own.real), _point_inputs(own, kinds)
         elif has_curvatures(kinds):
             make = measures.curvatures if name == "shape_curvatures" else measures.gradients
-            kernel, inputs = make(*kinds, own.real), _inputs(model, own, kinds, items.start)
+            kernel, inputs = make(*kinds, own.real), _curvature_inputs(own, kinds)
         else:
             continue
-        shape, outputs = (model.envs, items.stop - items.start), [own.measures[name]]
-        wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device=model.device)
+        launch_kernel(
+            kernel,
+            (model.envs, items.stop - items.start),
+            device=model.device,
+            state=model.arrays.state,
+            first=items.start,
+            contact_shapes=own.contact_shapes,
+            measured=own.measures[name],
+            **inputs,
+        )
 
 
 def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
@@ -36,23 +43,11 @@ def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
     return True
 
 
-def _points(
-    model: "DeviceModel", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int
-) -> tuple[wp.Kernel, list[Any]]:
-    shape_poses = own.shapes[kinds[1]].arrays.pose
-    inputs = [
-        model.arrays.state,
-        first,
-        own.contact_shapes,
-        shape_poses,
-        own.settings,
-        own.shape_contacts,
-    ]
-    return measures.points(own.real), inputs
+def _point_inputs(own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]]) -> dict[str, Any]:
+    poses = own.shapes[kinds[1]].arrays.pose
+    return {"shape_poses_b": poses, "settings": own.settings, "shape_contacts": own.shape_contacts}
 
 
-def _inputs(
-    model: "DeviceModel", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int
-) -> list[Any]:
-    arrays = [own.shapes[kind].arrays for kind in kinds]
-    return [model.arrays.state, first, own.contact_shapes, *arrays, own.warm_starts]
+def _curvature_inputs(own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]]) -> dict[str, Any]:
+    shapes_a, shapes_b = (own.shapes[kind].arrays for kind in kinds)
+    return {"shapes_a": shapes_a, "shapes_b": shapes_b, "warm_starts": own.warm_starts}

@@ -172,7 +172,13 @@ class MoreauJean(Integrator):
         launches += plan.prepare(
             step.half_step(real, has_joints),
             bodies,
-            [status, h, a.model, state_in, middle, nonsmooth.solve_result, nonsmooth.restitution_limit],
+            status=status,
+            step=h,
+            model=a.model,
+            state_in=state_in,
+            state_out=middle,
+            solve_result=nonsmooth.solve_result,
+            restitution_limit=nonsmooth.restitution_limit,
         )
         # Velocities of prescribed motion are taken at the times (fractions of the step) at which bodies carried along
         # have the same velocity from step to step.
@@ -185,50 +191,45 @@ class MoreauJean(Integrator):
             launches += element.motion_launches(plan, positions)
         launches += force_stages(plan, middle, h, status)
         launches += nonsmooth.collect_stages(plan)
-        free_inputs = [h, a.model, state_in, middle, a.wrenches, state_out, nonsmooth.body_response]
-
+        motion = {
+            "step": h,
+            "model": a.model,
+            "state_in": state_in,
+            "half_step_state": middle,
+            "wrenches": a.wrenches,
+            "state_out": state_out,
+            "body_response": nonsmooth.body_response,
+        }
         free_velocities = step.free_velocities(real, has_joints)
-        launches += plan.prepare(free_velocities, bodies, [status, *free_inputs])
+        launches += plan.prepare(free_velocities, bodies, status=status, **motion)
         if nonsmooth.impact_rows is not None and model.has_restitution:
-            inputs = [
-                status,
-                h,
-                middle,
-                nonsmooth.rows,
-                nonsmooth.body_response,
-                nonsmooth.solve_result,
-                nonsmooth.tolerance,
-                nonsmooth.impact_rows,
-            ]
-            launches += plan.prepare(sequence.kernel(real, has_joints), 1, [*inputs, nonsmooth.velocity_change])
+            launches += plan.prepare(
+                sequence.kernel(real, has_joints),
+                1,
+                status=status,
+                step=h,
+                half_step_state=middle,
+                impact_rows=nonsmooth.impact_rows,
+                **nonsmooth.problem_inputs,
+            )
         launches += self._solve(plan, status)
+        limit = nonsmooth.restitution_limit
         for number in range(restitution_limiter.MAX_ROUNDS if model.has_restitution else 0):
-            inputs = [
-                status,
-                number,
-                middle,
-                nonsmooth.rows,
-                nonsmooth.body_response,
-                nonsmooth.solve_result,
-                nonsmooth.velocity_change,
-            ]
-            inputs += [nonsmooth.tolerance, nonsmooth.restitution_limit]
-            launches += plan.prepare(restitution_limiter.kernel(real, has_joints), 1, inputs)
-            launches += plan.prepare(free_velocities, bodies, [nonsmooth.restitution_limit.status, *free_inputs])
-            launches += self._solve(plan, nonsmooth.restitution_limit.status)
-        inputs = [
-            status,
-            h,
-            float(self.theta),
-            a.model,
-            a.guard,
-            state_in,
-            middle,
-            nonsmooth.body_response,
-            a.wrenches,
-        ]
-        inputs.append(state_out)
-        return launches + plan.prepare(step.full_step(real, has_joints), bodies, inputs)
+            launches += plan.prepare(
+                restitution_limiter.kernel(real, has_joints),
+                1,
+                status=status,
+                number=number,
+                half_step_state=middle,
+                restitution_limit=limit,
+                **nonsmooth.problem_inputs,
+            )
+            launches += plan.prepare(free_velocities, bodies, status=limit.status, **motion)
+            launches += self._solve(plan, limit.status)
+        theta = float(self.theta)
+        return launches + plan.prepare(
+            step.full_step(real, has_joints), bodies, status=status, theta=theta, guard=a.guard, **motion
+        )
 
     def _solve(self, plan: ExecutionPlan, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that solve the contact problem where ``status`` [env] is active."""
@@ -241,13 +242,7 @@ class MoreauJean(Integrator):
         for (name, scratch), option in zip(nonsmooth.scratch.items(), options, strict=True):
             iterations = ITERATIONS[name] if self.iterations is None else self.iterations
             kernel = KERNELS[name].kernel(real, plan.model.has_joints, nonsmooth.rolls, **option)
-            inputs = [
-                status,
-                nonsmooth.rows,
-                nonsmooth.body_response,
-                nonsmooth.solve_result,
-                nonsmooth.tolerance,
-                iterations,
-            ]
-            launches += plan.prepare(kernel, 1, [*inputs, scratch, nonsmooth.velocity_change])
+            launches += plan.prepare(
+                kernel, 1, status=status, iterations=iterations, scratch=scratch, **nonsmooth.problem_inputs
+            )
         return launches

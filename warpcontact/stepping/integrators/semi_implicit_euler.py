@@ -14,7 +14,7 @@ from warpcontact.forces.execution_plan import (
     multi_step_stages,
 )
 from warpcontact.forces.launch_shape import WARP_PER_ENVIRONMENT
-from warpcontact.forces.particle_contact.contact_set import particle_arrays
+from warpcontact.forces.particle_contact.contact_set import pair_inputs
 from warpcontact.kernels.broadphase import swept
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.integrators import semi_implicit
@@ -74,37 +74,45 @@ class SemiImplicitEuler(Integrator):
         kernel = semi_implicit.semi_implicit_euler(
             real, model.has_joints, sources, plan.shape.integrator_accepts, particle_set is not None
         )
-        inputs = [
-            a.status,
-            dt.real,
-            a.model,
-            a.guard,
-            state_in,
-            a.cache.queue_count,
-            a.active_contacts,
-            a.coupling_wrenches,
-        ]
-        inputs += particle_arrays(particle_set, real)
-        # Without monitors, only bodies with joints or prescribed motion need the sum of wrenches in memory.
-        inputs += [plan.write_outputs or model.has_joints, a.wrenches]
-        inputs += [dt.clock, a.time, model.clusters.count, a.contacts, a.history, a.cache, state_out]
-        launches += plan.prepare(kernel, model.body_count, inputs, block_dim=SMALL_BLOCK if particle_set else None)
+        contact_inputs = {"contacts": a.contacts, "active_contacts": a.active_contacts, "cache": a.cache}
+        launches += plan.prepare(
+            kernel,
+            model.body_count,
+            block_dim=SMALL_BLOCK if particle_set else None,
+            status=a.status,
+            step=dt.real,
+            clock_step=dt.clock,
+            time=a.time,
+            model=a.model,
+            guard=a.guard,
+            state_in=state_in,
+            state_out=state_out,
+            queue_count=a.cache.queue_count,
+            clusters=model.clusters.count,
+            contact_history=a.history,
+            ends=a.coupling_wrenches,
+            # Without monitors, only bodies with joints or prescribed motion need the sum of wrenches in memory.
+            write_outputs=plan.write_outputs or model.has_joints,
+            wrenches=a.wrenches,
+            **contact_inputs,
+            **pair_inputs(particle_set, real),
+        )
         for element in plan.force_elements:
             launches += element.integration_launches(plan, dt, state_in, state_out)
         if model.has_swept_contacts:
             marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
-            inputs = [
-                a.status,
-                a.model,
-                state_in,
-                state_out,
-                plan.uses_cache,
-                a.cache,
-                a.contacts,
-                a.active_contacts,
-            ]
-            inputs += [int(mark is not None), marked]
-            launches += plan.prepare(swept.kernel(real), model.clusters.count, inputs)
+            launches += plan.prepare(
+                swept.kernel(real),
+                model.clusters.count,
+                status=a.status,
+                model=a.model,
+                state_in=state_in,
+                state_out=state_out,
+                cached=plan.uses_cache,
+                mark_crossings=int(mark is not None),
+                any_crossed=marked,
+                **contact_inputs,
+            )
         return launches
 
     def multi_step_stages(self, plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
@@ -116,8 +124,15 @@ class SemiImplicitEuler(Integrator):
         model = plan.model
         a, real = model.arrays, model.types.real
         launches = force_stages(plan, state, model.zero_step, a.status)
-        inputs = [a.status, change, a.model, a.wrenches, state]
-        launches += plan.prepare(semi_implicit.change_step(real, model.has_joints), model.body_count, inputs)
+        launches += plan.prepare(
+            semi_implicit.change_step(real, model.has_joints),
+            model.body_count,
+            status=a.status,
+            change=change,
+            model=a.model,
+            wrenches=a.wrenches,
+            state=state,
+        )
         for element in plan.force_elements:
             launches += element.change_launches(plan, change, state)
         return launches

@@ -4,6 +4,7 @@
 before it is accepted (``kernels/outcomes``). ``report.py`` returns the results as data sets.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -169,7 +170,8 @@ class Monitor:
         time = model.arrays.time
         for first, one in zip(self.event_offsets, self.event_sources, strict=False):
             form, view = self._form_and_view(one, state)
-            launches += plan.prepare(monitors.record_events(form), 1, [status, time, first, view, self.events])
+            inputs = {"first": first, "a": view, "events": self.events}
+            launches += plan.prepare(monitors.record_events(form), 1, status=status, time=time, **inputs)
         for number, (one, stop_condition) in enumerate(
             zip(self._stops, self.settings.stops.values(), strict=True)
         ):
@@ -177,8 +179,10 @@ class Monitor:
             condition = monitors.StopCriterion()
             condition.limit, condition.sign = stop_condition.condition
             condition.lasting, condition.number = stop_condition.lasting, number
-            inputs = [status, time, dt.clock, condition, view, self.stops]
-            launches += plan.prepare(monitors.check_stop(form), 1, inputs)
+            inputs = {"condition": condition, "a": view, "stops": self.stops}
+            launches += plan.prepare(
+                monitors.check_stop(form), 1, status=status, time=time, step=dt.clock, **inputs
+            )
         for outcome_state in self.outcome_states:
             if outcome_state.outcome.at_end:
                 continue
@@ -186,8 +190,14 @@ class Monitor:
             kernel = monitors.accumulate(
                 outcome_state.outcome.update, outcome_state.length, forms, outcome_state.results == 1
             )
-            inputs = [status, time, dt.clock, _source_view(outcome_state), *views, outcome_state.memory]
-            launches += plan.prepare(kernel, outcome_state.results, inputs)
+            launches += plan.prepare(
+                kernel,
+                outcome_state.results,
+                status=status,
+                time=time,
+                step=dt.clock,
+                **_outcome_inputs(outcome_state, views),
+            )
         return launches
 
     def _sensor_stages(self, plan: "ExecutionPlan", status: wp.array, state: Any) -> list[wp.Launch]:
@@ -243,18 +253,13 @@ class Monitor:
         forms, views = self._forms_and_views(outcome_state, model.arrays.state)
         outcome = outcome_state.outcome
         results = wp.empty((model.envs, outcome_state.results), dtype=wp.float64, device=self._device)
-        inputs = [
-            model.arrays.status,
-            model.arrays.time,
-            _source_view(outcome_state),
-            *views,
-            outcome_state.memory,
-            results,
-        ]
         for launch in plan.prepare(
             monitors.report(outcome.update, outcome.result, outcome_state.length, forms),
             outcome_state.results,
-            inputs,
+            status=model.arrays.status,
+            time=model.arrays.time,
+            results=results,
+            **_outcome_inputs(outcome_state, views),
         ):
             launch.launch()
         first = outcome_state.sources[0]
@@ -274,6 +279,12 @@ def sources_of(resolver: SourceResolver, owner: str, outcome: Outcome) -> tuple[
         raise ValueError(f"{owner}: {error}") from None
     find = resolver.resolve if outcome.at_end else resolver.resolve_in_step
     return tuple(find(owner, source) for source in outcome.sources)
+
+
+def _outcome_inputs(outcome_state: OutcomeState, views: Sequence[Any]) -> dict[str, Any]:
+    """Returns the arguments of kernels of an outcome: its sources and its memory."""
+    arrays = dict(zip("abcd", views, strict=True))
+    return {"view": _source_view(outcome_state), "memory": outcome_state.memory, **arrays}
 
 
 def _source_view(outcome_state: OutcomeState) -> Any:

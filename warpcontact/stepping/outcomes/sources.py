@@ -116,7 +116,7 @@ class SourceResolver:
             KeyError: If the sensor does not exist.
             ValueError: If the sensor is a matrix, or has no such component or no items.
         """
-        from warpcontact.forces.nonsmooth.contacts import sensor_hint
+        from warpcontact.forces.nonsmooth.sensors import sensor_hint
 
         try:
             hint = partial(sensor_hint, scene=self._scene)

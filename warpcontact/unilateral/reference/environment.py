@@ -15,6 +15,7 @@ from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TIME_FU
 from warpcontact.model.environments import Environments
 from warpcontact.model.model import DeviceModel
 from warpcontact.storage.parameters import split
+from warpcontact.system.launches import launch_kernel
 from warpcontact.validation.checks import Array
 
 _STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -153,9 +154,16 @@ class EnvironmentAccess:
             return snapshot
         self.write(snapshot)
         for drive in self.prescribed_motions:
-            kernel = driven.start(drive.motion, model.types.real)
-            inputs = [self._mask, a.time, a.model, *drive.inputs, a.state]
-            wp.launch(kernel, dim=(model.envs, drive.count), inputs=inputs, device=model.device)
+            launch_kernel(
+                driven.start(drive.motion, model.types.real),
+                (model.envs, drive.count),
+                device=model.device,
+                mask=self._mask,
+                time=a.time,
+                model=a.model,
+                state=a.state,
+                **drive.inputs,
+            )
         return self.read()
 
 
