@@ -4,21 +4,25 @@ The bounds of a node are convex, as triangles are, so their distance is at least
 is omitted from a list if it is farther than the reach of the list, or if it stays farther than a listed face for
 every displacement within the skin. On a fine mesh below a sphere the second criterion is decisive: faces at about
 the same distance lie in about the same direction, so their order rarely changes. ``warpcontact/geometry/bvh.py``
-builds the BVH.
+builds the BVH, ``lowlevel/bvh8.py`` traverses it. Queries of ``wp.Mesh`` are slower on a CPU: ``docs/scheduling.md``
+has the figures.
 """
 
 import functools
 from typing import NamedTuple
 
 import warp as wp
+from warpcontact.kernels.lowlevel import bvh8
 from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
-from warpcontact.kernels.narrowphase import bvh8_traversal, face_cache, search
+from warpcontact.kernels.narrowphase import face_cache, search
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
 from warpcontact.kernels.types import structs
 
 # Offset of a list ahead of the moving point, as a fraction of the skin. A list ahead is valid longer. Less than
 # one, to leave a margin for ties.
 AHEAD_FRACTION = 0.8
+# Stack entries: up to eight per level. A BVH of 2³¹ faces has eleven levels.
+STACK_SIZE = 96
 
 
 class Functions(NamedTuple):
@@ -34,11 +38,7 @@ def functions(real: type) -> Functions:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
-    face_functions, cache_functions, bvh_functions = (
-        closest_points.functions(real),
-        face_cache.functions(real),
-        bvh8_traversal.functions(real),
-    )
+    face_functions, cache_functions = closest_points.functions(real), face_cache.functions(real)
     search_functions = search.functions(real)
     ClosestPoint, closest_on_face, closer, lost_tie = (
         face_functions.ClosestPoint,
@@ -53,13 +53,39 @@ def functions(real: type) -> Functions:
         cache_functions.distance_lower_bound,
     )
     face_capacity, store_face_list = cache_functions.face_capacity, cache_functions.store_face_list
-    PruningReference, start_traversal, next_leaf = (
-        bvh_functions.PruningReference,
-        bvh_functions.start_traversal,
-        bvh_functions.next_leaf,
-    )
     ahead_fraction = wp.constant(real(AHEAD_FRACTION))
     rounding = wp.constant(real(t.epsilon * face_cache.ROUNDING))
+    Nodes = wp.types.vector(length=STACK_SIZE, dtype=wp.int32)
+    Distances = wp.types.vector(length=STACK_SIZE, dtype=real)
+
+    @wp.struct
+    class Traversal:
+        """State of a traversal: a stack of nodes, among the children of one node the nearest on top."""
+
+        count: wp.int32
+        node: Nodes
+        least: Distances  # lower bound on the distance of the faces of each node
+
+    @wp.struct
+    class PruningReference:
+        """A closest point, used to prune faces that stay farther while the query point moves.
+
+        See ``face_cache.lead_distance``.
+        """
+
+        far: real  # largest displacement of the query point; 0: no pruning
+        distance: real
+        direction: vec3  # unit, from the closest point to the query point
+        rounding: real  # rounding error of the direction
+
+    @wp.func
+    def start_traversal():
+        """Returns a traversal that starts at the root."""
+        traversal = Traversal()
+        traversal.count = 1
+        return traversal
+
+    next_leaf = bvh8.next_leaf_function(real, Traversal, PruningReference, face_cache.ROUNDING)
 
     @wp.func
     def rounding_error(extent: real, closest: ClosestPoint):

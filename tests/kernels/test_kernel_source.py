@@ -43,6 +43,19 @@ def test_kernels_do_not_import_the_host():
     assert not found
 
 
+def test_code_that_depends_on_the_compiler_is_in_lowlevel():
+    """Native snippets, compiler options and intrinsics: ``docs/lowlevel.md``."""
+    words = ("func_native", "__builtin", "__attribute__", "asm volatile", "threadIdx", "_sync(", "compiler_flags")
+    found = [
+        (file, word)
+        for file in TREES
+        if not file.startswith("lowlevel")
+        for word in words
+        if word in (FOLDER / file).read_text(encoding="utf-8")
+    ]
+    assert not found
+
+
 def test_device_functions_have_no_arithmetic_on_literals():
     """Warp computes 1/3 of two literals in single precision for any result type; ``wp.static`` does not."""
 

@@ -1,7 +1,7 @@
 """Bounding volume hierarchy (BVH) over the faces of a query mesh, with eight branches per node.
 
 A bounding volume is a flat cylinder ("disk") whose axis is the mean normal of its faces. On smooth surfaces it is
-thin, unlike axis-aligned boxes on inclined surfaces. ``kernels/narrowphase/bvh8_traversal.py`` searches the BVH on a
+thin, unlike axis-aligned boxes on inclined surfaces. ``kernels/lowlevel/bvh8.py`` searches the BVH on a
 CPU; GPUs use the queries of ``wp.Mesh``. On a CPU these give bitwise identical results, but a step of the benchmark
 scenes takes 5 to 16 % more processor time: see *Distance cache* in ``docs/scheduling.md``.
 """

@@ -1,67 +1,26 @@
-"""Traversal of the eight-wide BVH of a query mesh on a CPU, eight children per instruction.
-
-Each child is bounded by a disk with a thickness. ``warpcontact/geometry/bvh.py`` builds the BVH; ``bvh_search.py``
-searches faces with it. Queries of ``wp.Mesh`` are slower on a CPU: ``docs/scheduling.md`` has the figures.
-"""
+"""Vectorized traversal of an eight-wide BVH on a CPU, eight children per instruction."""
 
 import functools
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.narrowphase.face_cache import ROUNDING
-from warpcontact.kernels.types import Struct, structs
-
-# Stack entries: up to eight per level. A BVH of 2³¹ faces has eleven levels.
-STACK_SIZE = 96
-
-
-class Functions(NamedTuple):
-    """Structs and device functions of a traversal."""
-
-    Traversal: Struct  # state of a traversal
-    PruningReference: Struct  # closest point that is used to prune faces
-    start_traversal: wp.Function  # traversal that starts at the root
-    next_leaf: wp.Function  # index of the next face that may be within reach; −1: none
 
 
 @functools.cache
-def functions(real: type) -> Functions:
-    """Returns the structs and device functions for ``real``."""
-    t = structs(real)
-    vec3 = t.vec3
-    Nodes = wp.types.vector(length=STACK_SIZE, dtype=wp.int32)
-    Distances = wp.types.vector(length=STACK_SIZE, dtype=real)
+def next_leaf_function(real: type, Traversal: Any, PruningReference: Any, error: float) -> wp.Function:
+    """Returns the device function that continues a traversal to the next leaf.
+
+    Args:
+        real: Scalar type, ``wp.float32`` or ``wp.float64``.
+        Traversal: Struct of the state of a traversal, see ``narrowphase/bvh_search.py``.
+        PruningReference: Struct of a closest point that is used to prune faces.
+        error: Rounding error of a distance, in units of the float32 epsilon and its size.
+    """
+    vec3 = {wp.float32: wp.vec3f, wp.float64: wp.vec3d}[real]
     scalar, tiny = {wp.float32: ("float", "1e-37f"), wp.float64: ("double", "1e-300")}[real]
     # Bounds are stored in float32, including the unit normal of the disk.
-    rounding = ROUNDING * float(np.finfo(np.float32).eps)
-
-    @wp.struct
-    class Traversal:
-        """State of a traversal: a stack of nodes, among the children of one node the nearest on top."""
-
-        count: wp.int32
-        node: Nodes
-        least: Distances  # lower bound on the distance of the faces of each node
-
-    @wp.struct
-    class PruningReference:
-        """A closest point, used to prune faces that stay farther while the query point moves.
-
-        See ``face_cache.lead_distance``.
-        """
-
-        far: real  # largest displacement of the query point; 0: no pruning
-        distance: real
-        direction: vec3  # unit, from the closest point to the query point
-        rounding: real  # rounding error of the direction
-
-    @wp.func
-    def start_traversal():
-        """Returns a traversal that starts at the root."""
-        traversal = Traversal()
-        traversal.count = 1
-        return traversal
+    rounding = error * float(np.finfo(np.float32).eps)
 
     # Vector extensions of Clang, which splits vectors that are wider than a register. GPUs use no BVH of this
     # kind.
@@ -150,9 +109,4 @@ def functions(real: type) -> Functions:
         """
         ...
 
-    return Functions(
-        Traversal=Traversal,
-        PruningReference=PruningReference,
-        start_traversal=start_traversal,
-        next_leaf=next_leaf,
-    )
+    return next_leaf
