@@ -19,7 +19,7 @@ import warp as wp
 from warpcontact import kernels
 from warpcontact._version import __version__
 from warpcontact.files.run_folder import read_file
-from warpcontact.kernels.lowlevel import unique_kernel
+from warpcontact.kernels.lowlevel import switches, unique_kernel
 from warpcontact.system.devices import find_devices
 
 HOST = Path(__file__).parents[1]
@@ -65,6 +65,7 @@ def machine_facts(device: str | Sequence[str]) -> dict[str, Any]:
         "gpu": bool(gpus),
         "architectures": sorted({int(one.arch) for one in used}),
         "options": unique_kernel.OPTIONS,
+        "disabled": sorted(switches.DISABLED),
         "mode": wp.config.mode,
     }
 
