@@ -1,4 +1,8 @@
-"""Locks a run folder, so that only one process writes into it. The system releases the lock when a process ends."""
+"""Locks a run folder, so that only one process writes into it. The system releases the lock when a process ends.
+
+The folder itself is locked, by its descriptor: a lock file, as of the package filelock, could be a planted link, would
+remain in the folder, and could not be created to query a folder that cannot be written.
+"""
 
 import contextlib
 import time

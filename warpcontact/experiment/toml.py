@@ -1,4 +1,4 @@
-"""Writes settings as a TOML file."""
+"""Writes settings as a TOML file, with vectors and nested tables on one line, unlike the package tomli-w."""
 
 import json
 import math

@@ -2,7 +2,8 @@
 
 Files are untrusted. A reader refuses content that is ambiguous, and opens no other file (USD: only files in or below the
 folder of the file). Nothing is repaired, merged, sorted or silently omitted: face i is face i of the file, unless
-polygons were triangulated, which a warning reports. Imports are NumPy only, and pxr for USD, because readers run in a
+polygons were triangulated, which a warning reports. The readers of trimesh reorder and omit faces and accept damaged files
+without an error (``tests/meshes/test_trimesh_readers.py``). Imports are NumPy only, and pxr for USD, because readers run in a
 separate process (``isolation.py``).
 """
 

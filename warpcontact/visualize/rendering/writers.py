@@ -101,6 +101,8 @@ def _changes(pictures: Iterable[NDArray[np.uint8]], ticks: Iterable[int]) -> Ite
 def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[int, int]) -> None:
     """Writes an H.264 film that browsers play, with the program ffmpeg.
 
+    imageio does the same, but ignores the exit code of ffmpeg: on a full disk it would leave an incomplete film.
+
     Args:
         path: File to write.
         pictures: All frames, (height, width, 3) sRGB.
