@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model.health import Health
     from warpcontact.model.quarantine import QuarantineError
-    from warpcontact.scene.contact_coupling import ContactCoupling
-    from warpcontact.scene.contact_range import ContactRange
+    from warpcontact.scene.contact_coupling import ContactCoupling, ContactRange
     from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
     from warpcontact.scene.elements import Body, Contact, ContactMaterial, Points, Surface
     from warpcontact.scene.shapes import Shape, ShapeContact
@@ -81,7 +80,7 @@ _HOME = {
     "Contact": "warpcontact.scene.elements",
     "ContactCoupling": "warpcontact.scene.contact_coupling",
     "ContactMode": "warpcontact.scene.status",
-    "ContactRange": "warpcontact.scene.contact_range",
+    "ContactRange": "warpcontact.scene.contact_coupling",
     "ContactWarning": "warpcontact.validation.warning_levels",
     "CouplingStatus": "warpcontact.scene.status",
     "Damper": "warpcontact.kernels.couplings.springs.base",

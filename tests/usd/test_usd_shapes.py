@@ -6,7 +6,7 @@ from pxr import Usd, UsdGeom, UsdValidation
 from recorded_usd_scene import arrows
 
 import warpcontact as wc
-from warpcontact.scene.shape_tessellation import tessellate
+from warpcontact.scene.shapes import tessellate
 
 SOFT = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3))
 FORMS = {

@@ -14,7 +14,7 @@ import xarray as xr
 from warpcontact.drawing.drawing import Shape
 from warpcontact.drawing.triangles import ball
 from warpcontact.model.health import Health
-from warpcontact.scene.contact_coupling_report import CouplingReport
+from warpcontact.scene.contact_coupling import CouplingReport
 from warpcontact.scene.status import EnvironmentStatus, FailureCause
 from warpcontact.validation import number_format
 from warpcontact.visualize.report import chart, contacts, environments, markup, outcomes, packing, replay, series

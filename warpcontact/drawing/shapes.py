@@ -11,8 +11,7 @@ from warpcontact.drawing.spheres import body_color
 from warpcontact.kernels import shapes
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
-from warpcontact.scene.shape_tessellation import tessellate
-from warpcontact.scene.shapes import Shape
+from warpcontact.scene.shapes import Shape, tessellate
 from warpcontact.validation.checks import Array
 
 # Half the side of the square that represents a plane, as a multiple of the size.

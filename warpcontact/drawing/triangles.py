@@ -13,7 +13,7 @@ from warpcontact.kernels import shapes
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.meshes import icosphere
-from warpcontact.scene.shape_tessellation import tessellate
+from warpcontact.scene.shapes import tessellate
 from warpcontact.validation.checks import Array
 
 # Faces that meet at a smaller angle are shaded smoothly.

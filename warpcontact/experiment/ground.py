@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from warpcontact.algebra.poses import transform_points
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.scene.elements import Surface
-from warpcontact.scene.shape_tessellation import tessellate
-from warpcontact.scene.shapes import Shape
+from warpcontact.scene.shapes import Shape, tessellate
 from warpcontact.stepping.recording import Recording
 from warpcontact.validation.checks import Array
 

@@ -36,7 +36,7 @@ from warpcontact.files.run_folder import RunPath
 from warpcontact.kernels.catalogue.keywords import explain_keywords, explain_keywords_of
 from warpcontact.model.flags import words_of
 from warpcontact.model.health import Health
-from warpcontact.scene.contact_coupling_report import CouplingReport, report_of
+from warpcontact.scene.contact_coupling import CouplingReport, report_of
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import escape_lines
 

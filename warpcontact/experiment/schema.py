@@ -35,8 +35,7 @@ from warpcontact.kernels.friction import Frictionless
 from warpcontact.model.build import PRECISIONS
 from warpcontact.scene import couplings as coupling_limits
 from warpcontact.scene import elements as limits_of
-from warpcontact.scene.contact_coupling import FACINGS
-from warpcontact.scene.contact_range import CLOSEST, DAMPING_RATIO, SPEED, ContactRange
+from warpcontact.scene.contact_coupling import CLOSEST, DAMPING_RATIO, FACINGS, SPEED, ContactRange
 from warpcontact.scene.shapes import ALL
 from warpcontact.scene.surface_contact import SIDES
 

@@ -27,7 +27,7 @@ from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Sta
 from warpcontact.files.run_folder import RunPath
 from warpcontact.model.environments import Environments
 from warpcontact.model.scene_traits import CONTACT_NEEDS
-from warpcontact.scene.contact_coupling_report import OUTCOMES
+from warpcontact.scene.contact_coupling import OUTCOMES
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.run_warnings import RunWarnings

@@ -17,7 +17,8 @@ from warpcontact.algebra.vectors import norm
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.meshes.mesh import Mesh
 from warpcontact.meshes.topology import angles, area_vectors, directions
-from warpcontact.validation.checks import Array
+
+Array = npt.NDArray[np.float64]
 
 METHODS = ("blue_noise", "vertices", "centroids")
 

@@ -146,7 +146,7 @@ def _places(contact: "Contact | ShapeContact | ParticleContact", body: Body) -> 
 
 def _surface_points(shape: Shape) -> Array:
     """Returns points of the surface of a shape (the first one of a set), in the frame of its body (n, 3) [m]."""
-    from warpcontact.scene.shape_tessellation import tessellate
+    from warpcontact.scene.shapes import tessellate
 
     vertices, _ = tessellate(shape.kind, {key: values[0] for key, values in shape.sizes.items()})
     return transform_points(vertices, shape.positions[0], shape.orientations[0])

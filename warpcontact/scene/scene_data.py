@@ -1,7 +1,8 @@
 """Data of a scene: bodies, surfaces, points, shapes and force elements; checks all user input.
 
-``SceneData`` combines the mixins of the modules ``add_*.py``. Users get its subclass ``Scene``
-(``building/scene.py``), which builds models and imports USD.
+``SceneData`` combines the mixins of ``add_bodies.py``, ``couplings.py``, ``shapes.py``, ``particles.py`` and
+``add_force_elements.py``. Users get its subclass ``Scene`` (``building/scene.py``), which builds models and imports
+USD.
 """
 
 import copy
@@ -18,11 +19,8 @@ from warpcontact.kernels.catalogue.names import explain_renamed
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.mesh import face_mask
 from warpcontact.scene.add_bodies import Bodies
-from warpcontact.scene.add_couplings import Couplings
 from warpcontact.scene.add_force_elements import ForceElements
-from warpcontact.scene.add_particles import ParticleContacts
-from warpcontact.scene.add_shapes import ShapeContacts
-from warpcontact.scene.couplings import Coupling
+from warpcontact.scene.couplings import Coupling, Couplings
 from warpcontact.scene.elements import (
     AREA,
     RADIUS,
@@ -34,11 +32,15 @@ from warpcontact.scene.elements import (
     ContactOptions,
     Points,
     Surface,
+    active_of_each,
+    check_areas,
+    check_arms,
+    mesh_of,
+    options_of,
 )
-from warpcontact.scene.mesh_arguments import active_of_each, check_areas, check_arms, mesh_of, options_of
-from warpcontact.scene.particles import ParticleContact
+from warpcontact.scene.particles import ParticleContact, ParticleContacts
 from warpcontact.scene.scene_element import SceneElement
-from warpcontact.scene.shapes import Shape, ShapeContact
+from warpcontact.scene.shapes import Shape, ShapeContact, ShapeContacts
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
 

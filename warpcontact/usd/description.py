@@ -15,7 +15,7 @@ from warpcontact._version import __version__
 from warpcontact.kernels.catalogue.device_model import ROWS, Formula
 from warpcontact.kernels.contact.contact_evaluation import ContactModel
 from warpcontact.meshes import Mesh
-from warpcontact.scene.contact_range import ContactRange
+from warpcontact.scene.contact_coupling import ContactRange
 from warpcontact.scene.elements import ContactMaterial
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.author import identifiers

@@ -17,7 +17,7 @@ from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
 from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.scene.elements import Body, Surface
-from warpcontact.scene.shape_tessellation import tessellate
+from warpcontact.scene.shapes import tessellate
 from warpcontact.usd.author import Samples, add_pose, integers, quaternions, store_element_name, vectors, write_box
 from warpcontact.validation.checks import Array
 

@@ -10,7 +10,7 @@ from warpcontact.forces.contact_warnings import TYPICAL_SPEED
 from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, steepest_slopes
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes.topology import area_vectors
-from warpcontact.scene.contact_range import ExpectedImpact
+from warpcontact.scene.contact_coupling import ExpectedImpact
 from warpcontact.scene.mobility import MIN_MOBILITY, mobility_of
 from warpcontact.validation.checks import Array
 

@@ -16,7 +16,7 @@ from warpcontact.kernels.joints import Motion
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.shapes.base import Shape as ShapeParameters
 from warpcontact.meshes import Mesh, SurfaceSamples
-from warpcontact.scene.contact_range import ContactRange, ExpectedImpact
+from warpcontact.scene.contact_coupling import ContactRange, ExpectedImpact
 from warpcontact.scene.elements import ContactMaterial
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.usd.author import identifiers

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.drawing.decimation import kept_samples
-from warpcontact.scene.contact_coupling_report import CouplingReport
+from warpcontact.scene.contact_coupling import CouplingReport
 from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import count, number, quantity, several
 from warpcontact.visualize.report import chart

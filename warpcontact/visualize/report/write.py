@@ -24,7 +24,7 @@ from warpcontact.experiment.trust import Trust
 from warpcontact.experiment.user_code import TrustError
 from warpcontact.files.atomic_files import atomic_file, check_writable
 from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.scene.contact_coupling_report import CouplingReport
+from warpcontact.scene.contact_coupling import CouplingReport
 from warpcontact.validation.checks import entries
 from warpcontact.visualize.report import chart, contacts, environments, facts, outcomes, series
 from warpcontact.visualize.report.markup import Markup, data_block, element, joined, name, short
