@@ -14,7 +14,7 @@ import pytest
 import warpcontact.kernels
 
 import warpcontact
-from warpcontact.system import gc_pause
+from warpcontact.system import process
 
 pytestmark = [pytest.mark.installed, pytest.mark.smoke]
 
@@ -177,8 +177,8 @@ def test_first_step_of_an_experiment_loads_no_optional_package(tmp_path):
 
 def test_garbage_collection_resumes_after_a_pause_if_it_was_enabled():
     def fails():
-        with gc_pause.gc_paused():
-            with gc_pause.gc_paused():
+        with process.gc_paused():
+            with process.gc_paused():
                 pass
             assert not gc.isenabled()
             raise ValueError("meanwhile")
@@ -192,13 +192,13 @@ def test_garbage_collection_resumes_after_a_pause_if_it_was_enabled():
 def test_objects_made_in_a_pause_are_in_the_oldest_generation_and_frozen_objects_stay_frozen():
     # The test runner may have frozen objects.
     gc.unfreeze()
-    with gc_pause.gc_paused():
+    with process.gc_paused():
         made = [[] for _ in range(10)]
     assert any(one is made for one in gc.get_objects(generation=2))
     gc.freeze()
     try:
         frozen = gc.get_freeze_count()
-        with gc_pause.gc_paused():
+        with process.gc_paused():
             made = [[] for _ in range(10)]
         assert any(one is made for one in gc.get_objects(generation=0))
         # Some of the frozen objects may be freed meanwhile.

@@ -17,7 +17,7 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.experiment import cluster
 from warpcontact.system import resources
-from warpcontact.system.signals import terminate_as_interrupt
+from warpcontact.system.process import terminate_as_interrupt
 
 pytestmark = pytest.mark.installed
 

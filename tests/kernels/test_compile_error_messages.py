@@ -9,7 +9,7 @@ import warp as wp
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.validation.custom_law_hints import advice
+from warpcontact.validation.custom_law_errors import advice
 
 
 class Linear(wc.Law):

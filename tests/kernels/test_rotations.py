@@ -7,7 +7,7 @@ from scenes import square
 from warpcontact.kernels import rotations
 
 import warpcontact as wc
-from warpcontact.algebra.poses import shortest_rotations, transform_points
+from warpcontact.algebra.vectors import shortest_rotations, transform_points
 
 
 @pytest.mark.parametrize("start", np.eye(3), ids=("x", "y", "z"))

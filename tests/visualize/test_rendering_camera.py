@@ -9,7 +9,7 @@ import xarray as xr
 from handmade_drawings import PLATE, balls, camera, covered, drawing, figure
 from warpcontact.kernels.rendering.world import CONE, CYLINDER
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.drawing.colors import Scale, per_environment_number
 from warpcontact.drawing.drawing import ContactForces, Curve
 from warpcontact.visualize.rendering import frame_renderer

@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 import warpcontact as wc
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.experiment import picture
 from warpcontact.experiment.ground import GroundSurface, contour_step, draw_from_above
 from warpcontact.experiment.sensor_panels import CURVES, draw_panel, make_panels

@@ -16,7 +16,7 @@ from warpcontact import __version__
 from warpcontact.cli import bench, build_kernels, laws, render, run_folders, view
 from warpcontact.cli import report as report_command
 from warpcontact.cli.trust_option import add_option
-from warpcontact.system.signals import terminate_as_interrupt
+from warpcontact.system.process import terminate_as_interrupt
 from warpcontact.validation.safe_text import escape_output
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.drawing.spheres import Spheres
 from warpcontact.scene.elements import Body
 from warpcontact.scene.scene_data import SceneData

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.drawing.spheres import WORLD_COLOR
 from warpcontact.kernels.types import COUPLING_BROKEN

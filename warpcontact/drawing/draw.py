@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from warpcontact.algebra.poses import product, transform_points
+from warpcontact.algebra.vectors import product, transform_points
 from warpcontact.drawing.body_sets import BodySet
 from warpcontact.drawing.content import POINT, Content
 from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape

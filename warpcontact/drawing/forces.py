@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.drawing.shapes import ShapePlacement
 from warpcontact.scene.elements import Contact

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.scene.elements import Body, Contact, Points, Surface
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.stepping.recorder import UNCHANGED

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpcontact.algebra.poses import product, transform_points
+from warpcontact.algebra.vectors import product, transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.drawing.spheres import body_color
 from warpcontact.kernels import shapes

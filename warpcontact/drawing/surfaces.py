@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.drawing.spheres import body_color
 from warpcontact.scene.elements import Surface

@@ -33,7 +33,7 @@ from warpcontact.stepping.integrators.base import formulas_of
 from warpcontact.stepping.simulation import Simulation
 from warpcontact.stepping.step_counts import whole_steps
 from warpcontact.storage.memory_estimate import env_count_text
-from warpcontact.system import gc_pause
+from warpcontact.system import process
 from warpcontact.validation.warning_levels import RunWarning
 
 if TYPE_CHECKING:
@@ -237,7 +237,7 @@ class Experiment:
         )
         from warpcontact.experiment.lock import write_lock
         from warpcontact.experiment.warning_log import WarningLog
-        from warpcontact.system.signals import terminate_as_interrupt
+        from warpcontact.system.process import terminate_as_interrupt
 
         _check_shard(shard, self.source)
         _check_threads_and_checkpoint(threads, checkpoint, self.source)
@@ -379,7 +379,7 @@ class Experiment:
             problems.add("body", "is missing: an experiment needs a [[body]]")
             parts.unnamed.add("body")
         # The garbage collector is paused: ``check_build`` creates kernels, which are permanent.
-        with gc_pause.gc_paused():
+        with process.gc_paused():
             model = check_build(parts, self.folder, self._file_cache, problems)
         if model is not None:
             self._check_with(model, parts, problems)

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.scene.elements import Surface
 from warpcontact.scene.shapes import Shape, tessellate

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.experiment.errors import abbreviated
-from warpcontact.files.numpy_files import check_numbers
+from warpcontact.files.regular_files import check_numbers
 from warpcontact.files.run_folder import open_file
 from warpcontact.system.resources import HOST, available_memory
 from warpcontact.validation.checks import Array

@@ -35,7 +35,7 @@ from warpcontact.stepping.simulation import Simulation
 from warpcontact.stepping.step_counts import frame_count, recorded_steps
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.compilation import load_all
-from warpcontact.system.signals import StopRequest, catch_interrupts
+from warpcontact.system.process import StopRequest, catch_interrupts
 from warpcontact.validation.warning_levels import ContactWarning, RunWarning, WarningLevel
 
 if TYPE_CHECKING:

@@ -1,10 +1,11 @@
-"""Opens files of unknown origin: pipes, devices and sockets are refused before they are opened."""
+"""Opens files of unknown origin: pipes, devices and sockets are refused before they are opened; arrays must be numbers."""
 
 import errno
 import os
 import stat
 from io import BufferedReader
-from pathlib import Path
+
+import numpy as np
 
 from warpcontact.validation.number_format import format_bytes
 
@@ -98,7 +99,20 @@ def open_regular(
         raise
 
 
-def read_regular(path: Path, most: int = TEXT) -> bytes:
-    """Returns the content of a regular file of at most ``most`` bytes; raises the errors of ``open_regular``."""
-    with open_regular(path, most) as file:
-        return file.read()
+# Descriptions by the kind of the data type.
+_WORDS = {
+    "b": "truth values",
+    "c": "complex numbers",
+    "m": "times",
+    "M": "dates",
+    "O": "objects of Python",
+    "S": "bytes",
+    "U": "text",
+    "V": "records of several fields",
+}
+
+
+def check_numbers(what: str, array: np.ndarray) -> None:
+    """Raises ``ValueError`` about ``what`` unless an array has real numbers."""
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"{what} must be numbers, got {_WORDS.get(array.dtype.kind, str(array.dtype))}")

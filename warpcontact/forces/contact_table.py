@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
 from warpcontact.forces.contact_groups import ContactGroup, group_by_model, make_group
 from warpcontact.geometry.contact_clusters import ContactClusters, make_clusters, upload_clusters

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.forces.contact_table import SceneContacts, declare_contacts
 from warpcontact.forces.ends import Ends
 from warpcontact.forces.force_element import BuildContext

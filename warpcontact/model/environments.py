@@ -17,11 +17,11 @@ from warpcontact.model.scene_traits import CONTACT_NEEDS
 from warpcontact.scene.couplings import Catenary
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.memory_estimate import MemoryEstimate, env_count_text, require, total
+from warpcontact.storage.model_arrays import Uncopied
 from warpcontact.storage.parameters import Parameter
 from warpcontact.system.devices import split_evenly
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, find_entry
-from warpcontact.validation.uncopyable import Uncopied
 
 if TYPE_CHECKING:
     import xarray as xr

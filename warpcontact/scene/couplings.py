@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.couplings import springs

@@ -11,7 +11,7 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact.algebra import poses
+from warpcontact.algebra import vectors
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.contact.contact_evaluation import ContactModel
@@ -208,7 +208,7 @@ class Points:
         if self.surface is None:
             return self.positions
         scaled = self.surface.scale * self.positions
-        return poses.transform_points(scaled, self.surface.position, self.surface.orientation)
+        return vectors.transform_points(scaled, self.surface.position, self.surface.orientation)
 
 
 class ContactOptions(TypedDict, total=False):

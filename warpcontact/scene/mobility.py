@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
 from warpcontact.scene.elements import Body
 from warpcontact.scene.particles import ParticleContact

@@ -34,12 +34,12 @@ from warpcontact.stepping.step_counts import frame_count, recorded_steps
 from warpcontact.stepping.worker_pool import DeviceShare, WorkerPool
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.memory_estimate import MemoryEstimate, MemoryItem, env_count_text, require
+from warpcontact.storage.model_arrays import Uncopied
 from warpcontact.storage.parameters import rounded
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.compilation import load_all
 from warpcontact.system.resources import HOST, available_threads
 from warpcontact.validation import checks
-from warpcontact.validation.uncopyable import Uncopied
 from warpcontact.validation.warning_levels import ContactWarning, WarningLevel, caller_stacklevel
 
 # xarray takes as long to import as the rest of the package. Stepping without recording does not need it.

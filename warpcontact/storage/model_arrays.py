@@ -1,7 +1,7 @@
-"""Device arrays of a model, as one object that stages, sensors and outcomes read."""
+"""Device arrays of a model, as one object, and the base class of objects that hold device arrays."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, NoReturn
 
 
 @dataclass(eq=False)
@@ -54,3 +54,25 @@ class ModelArrays:
     positions: Any = None
     energies: Any = None
     momenta: Any = None
+
+
+class Uncopied:
+    """Base class that refuses pickling and copying; ``instead`` is the advice at the end of the message."""
+
+    _instead: ClassVar[str]
+
+    def __init_subclass__(cls, *, instead: str | None = None, **others: Any) -> None:
+        super().__init_subclass__(**others)
+        if instead is not None:
+            cls._instead = instead
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        """Refuses ``pickle`` and ``copy``.
+
+        Raises:
+            TypeError: Always; the message has the advice.
+        """
+        raise TypeError(
+            f"a {type(self).__name__} must not be pickled or copied, because it holds device arrays; "
+            f"{self._instead}"
+        )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact.files.atomic_files import open_for_writing
-from warpcontact.files.numpy_files import check_numbers
+from warpcontact.files.regular_files import check_numbers
 from warpcontact.files.run_folder import open_file
 from warpcontact.kernels.catalogue.device_model import as_numbers
 from warpcontact.validation.checks import Array

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact.algebra.poses import shortest_rotations
+from warpcontact.algebra.vectors import shortest_rotations
 from warpcontact.drawing.body_sets import BodySet
 from warpcontact.drawing.forces import ForceLines
 from warpcontact.drawing.replay import Replay

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.drawing.shapes import PLANE, ShapePlacement, ShapeSet
 from warpcontact.drawing.spheres import Spheres, body_color
 from warpcontact.drawing.surfaces import INACTIVE, Placement, surface_color

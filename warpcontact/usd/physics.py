@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.algebra.poses import inverse, product, shortest_rotations, transform_points
+from warpcontact.algebra.vectors import inverse, product, shortest_rotations, transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.catalogue.device_model import unit_vectors
 from warpcontact.kernels.types import BALL, FIXED, HINGE, PLANAR, PRESCRIBED, SLIDER, TIME_FUNCTION, TRANSLATION

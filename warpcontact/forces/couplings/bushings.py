@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
-from warpcontact.algebra.poses import inverse, product
+from warpcontact.algebra.vectors import inverse, product
 from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.kernels.couplings import bushing
 from warpcontact.scene import couplings as elements

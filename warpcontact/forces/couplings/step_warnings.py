@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.scene.couplings import Catenary, Coupling, SpringDamper
 from warpcontact.scene.mobility import mobility_along
 from warpcontact.validation.checks import Array

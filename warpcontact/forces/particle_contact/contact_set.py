@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.algebra import poses
+from warpcontact.algebra import vectors
 from warpcontact.forces.contact_groups import compile_force_kernel
 from warpcontact.forces.execution_plan import SMALL_BLOCK
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget, Need
@@ -259,7 +259,7 @@ class ParticleContactSet(ForceElement):
             half = self._column("half_length")
             turn = self._column("orientation")
             ends = half[..., None] * np.array([0.0, 0.0, 1.0])
-            return poses.transform_points(ends[..., None, :], np.zeros(3), turn)[..., 0, :]
+            return vectors.transform_points(ends[..., None, :], np.zeros(3), turn)[..., 0, :]
 
         follow: dict[str, list[DeviceField]] = {
             "radius": [parameters.device_field(particles, "radius", self.real, self._radii)],

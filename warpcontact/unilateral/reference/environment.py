@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from warpcontact.algebra.poses import inverse, product
-from warpcontact.algebra.vectors import cross
+from warpcontact.algebra.vectors import cross, inverse, product
 from warpcontact.kernels.joints import driven
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TIME_FUNCTION, TRANSLATION
 from warpcontact.model.environments import Environments

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.algebra.poses import transform_points
+from warpcontact.algebra.vectors import transform_points
 from warpcontact.drawing.drawing import Drawing, Figure
 from warpcontact.drawing.triangles import ball
 from warpcontact.kernels.rendering.world import SPHERE, visibility

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.algebra.poses import shortest_rotations, transform_points
+from warpcontact.algebra.vectors import shortest_rotations, transform_points
 from warpcontact.drawing.colors import linear
 from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
 from warpcontact.drawing.triangles import ball

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 import warpcontact as wc
 from warpcontact import ContactStatus
 from warpcontact.forces.advice import advice_needs_evaluation
-from warpcontact.forces.mesh_contact.step_warnings import contacts_to_evaluate
-from warpcontact.geometry.initial_clearance import starts_clear
+from warpcontact.forces.mesh_contact.step_warnings import contacts_to_evaluate, starts_clear
 
 LAW = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
 TERRAIN = wc.meshes.sinusoidal_terrain(size=(2.0, 2.0), cells=(12, 12), amplitude=0.2, wavelength=1.0)
