@@ -93,12 +93,21 @@ class MagnetSet(PointPairSet):
     }
 
     def force_launches(self, plan, state, step, status, *, by_cluster=False):
-        a, kernel = plan.model.arrays, attract(self.types.real)
-        inputs = [status, a.model, state, self.first, self.settings, self.results, a.coupling_wrenches]
-        return plan.prepare(kernel, self.count, inputs)
+        a = plan.model.arrays
+        return plan.prepare(
+            attract(self.types.real),
+            self.count,
+            status=status,
+            model=a.model,
+            state=state,
+            first=self.first,
+            settings=self.settings,
+            magnets=self.results,
+            wrenches=a.coupling_wrenches,
+        )
 
     def accept_launches(self, plan, dt, state_in):
-        return plan.prepare(keep_peak, self.count, [plan.model.arrays.status, self.results])
+        return plan.prepare(keep_peak, self.count, status=plan.model.arrays.status, magnets=self.results)
 
     def reset_state(self, chosen):
         inputs, shape = [chosen, self.results], (len(chosen), self.count)
