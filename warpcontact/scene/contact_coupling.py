@@ -230,18 +230,6 @@ class CouplingReport:
         return f"in {word} {', '.join(map(str, numbers[:NAMED]))}{more}"
 
 
-def report(coupling: "ContactCoupling", model: "Environments") -> CouplingReport:
-    """Implements ``ContactCoupling.report``."""
-    return CouplingReport(
-        name=coupling.name,
-        effective_area=model.sensor(f"{coupling.name}.effective_area").astype(np.float64),
-        minimum_distance=model.sensor(f"{coupling.name}.minimum_distance").astype(np.float64),
-        effective_range=model[f"{coupling.name}.effective_range"],
-        impact=coupling.range.impact,
-        first_env=model.first_env,
-    )
-
-
 #: Sensors of a coupling that are stored as outcomes of a run.
 OUTCOMES = ("effective_area", "minimum_distance")
 
@@ -300,9 +288,16 @@ class ContactCoupling:
         refuse_unknown("ContactCoupling.from_impact", impact, keywords_of(ContactRange.from_impact))
         return ContactRange.from_impact(**impact)
 
-    def report(self, model: "Environments") -> "CouplingReport":
+    def report(self, model: "Environments") -> CouplingReport:
         """Returns minimum distance and effective area of each environment since its reset."""
-        return report(self, model)
+        return CouplingReport(
+            name=self.name,
+            effective_area=model.sensor(f"{self.name}.effective_area").astype(np.float64),
+            minimum_distance=model.sensor(f"{self.name}.minimum_distance").astype(np.float64),
+            effective_range=model[f"{self.name}.effective_range"],
+            impact=self.range.impact,
+            first_env=model.first_env,
+        )
 
 
 def add_contact_coupling(
@@ -328,11 +323,8 @@ def add_contact_coupling(
     checks.choice(f"{name}.facing", facing, FACINGS)
     checks.choice(f"{name}.sides", sides, SIDES)
     number = check_quadrature(f"{name}.quadrature", quadrature)
-    for label, surface in (("surface_a", surface_a), ("surface_b", surface_b)):
-        if not isinstance(surface, Surface) or surface not in scene.surfaces:
-            raise ValueError(
-                f"{name}.{label} must come from add_surface of this scene, got {checks.element(surface)}"
-            )
+    scene.check_surface(f"{name}.surface_a", surface_a)
+    scene.check_surface(f"{name}.surface_b", surface_b)
     if surface_a.body is None:
         raise ValueError(
             f"{name}.surface_a must be on a body, got {surface_a.name!r} on the world; use it as surface_b"

@@ -12,7 +12,7 @@ from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.couplings import springs
 from warpcontact.kernels.couplings.springs import Damper, Spring
-from warpcontact.scene.elements import Body, Points, Surface
+from warpcontact.scene.elements import Body, Points, Surface, check_owned
 from warpcontact.scene.scene_element import check_ends
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
@@ -360,10 +360,7 @@ class Couplings:
     def _check_ends(self, name: str, point_a: Points, point_b: Points) -> None:
         """Raises ``ValueError`` unless both are single points of this scene, on different bodies."""
         for key, point in (("point_a", point_a), ("point_b", point_b)):
-            if not isinstance(point, Points) or self._elements.get(point.name) is not point:
-                raise ValueError(
-                    f"{name}.{key} must come from add_point of this scene, got {checks.element(point)}"
-                )
+            check_owned(f"{name}.{key}", point, Points, self._elements, "add_point")
         check_ends(name, point_a, point_b)
 
 

@@ -4,7 +4,7 @@ The functions check arguments that several methods of ``Scene`` have in common.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypedDict
 
@@ -288,6 +288,12 @@ class Contact:
     def area_carrier(self, part: str) -> Surface | None:
         """Returns the surface whose scale affects the area of one part of the material, if any."""
         return self.points.surface if self.material.formulas[part].takes_area else None
+
+
+def check_owned(label: str, given: Any, kind: type, elements: Mapping[str, Any], method: str) -> None:
+    """Raises ``ValueError`` unless ``given`` is one of the ``elements`` of a scene, which ``method`` adds."""
+    if not isinstance(given, kind) or elements.get(given.name) is not given:  # type: ignore[attr-defined]
+        raise ValueError(f"{label} must come from {method} of this scene, got {checks.element(given)}")
 
 
 def options_of(

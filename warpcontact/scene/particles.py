@@ -12,7 +12,7 @@ from warpcontact.kernels import shapes as forms
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.contact.contact_evaluation import ContactModel
-from warpcontact.scene.elements import ContactMaterial, options_of
+from warpcontact.scene.elements import ContactMaterial, check_owned, options_of
 from warpcontact.scene.shapes import Shape, check_material
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
@@ -153,10 +153,7 @@ class ParticleContacts:
             raise ValueError(f"shapes of {name!r} must be a shape or a list of them, got {checks.element(shapes)}")
         given: tuple[Shape, ...] = (shapes,) if isinstance(shapes, Shape) else tuple(shapes)
         for shape in given:
-            if not isinstance(shape, Shape) or self._elements.get(shape.name) is not shape:
-                raise ValueError(
-                    f"shapes of {name!r} must come from add_shape of this scene, got {checks.element(shape)}"
-                )
+            check_owned(f"shapes of {name!r}", shape, Shape, self._elements, "add_shape")
             if shape.kind not in (forms.Sphere, forms.Capsule):
                 raise ValueError(
                     f"{name}: shape {shape.name!r} is a {shape.kind.__name__}; particle contacts are of spheres and "

@@ -35,6 +35,7 @@ from warpcontact.scene.elements import (
     active_of_each,
     check_areas,
     check_arms,
+    check_owned,
     mesh_of,
     options_of,
 )
@@ -245,8 +246,8 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, ForceElement
     ) -> Points:
         surface = None
         if isinstance(body, Surface):
-            surface = self._surface(f"{name}.body", body)
-            body = surface.body
+            self.check_surface(f"{name}.body", body)
+            surface, body = body, body.body
         points = Points(
             name=name,
             start=sum(p.count for p in self.points),
@@ -315,12 +316,8 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, ForceElement
             ValueError: If a value is out of range, or both sides are fixed to the same body.
         """
         name = checks.new_name("contact", name, self._elements)
-        if not isinstance(points, Points) or self._elements.get(points.name) is not points:
-            raise ValueError(
-                f"points of {name!r} must come from add_point or add_points of this scene, got "
-                f"{checks.element(points)}"
-            )
-        surface = self._surface(f"surface of {name!r}", surface)
+        check_owned(f"points of {name!r}", points, Points, self._elements, "add_point or add_points")
+        self.check_surface(f"surface of {name!r}", surface)
         if points.body is surface.body:
             where = f"body {points.body.name!r}" if points.body else "the world"
             raise ValueError(f"{name}: points and surface are both fixed to {where}; one must move")
@@ -427,10 +424,9 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, ForceElement
         copied._elements = dict(self._elements)
         return copied
 
-    def _surface(self, label: str, surface: Surface) -> Surface:
-        if not isinstance(surface, Surface) or self._elements.get(surface.name) is not surface:
-            raise ValueError(f"{label} must come from add_surface of this scene, got {checks.element(surface)}")
-        return surface
+    def check_surface(self, label: str, surface: Any) -> None:
+        """Raises ``ValueError`` unless ``surface`` belongs to this scene; ``label`` is its name in the message."""
+        check_owned(label, surface, Surface, self._elements, "add_surface")
 
     def owned_body(self, name: str, body: Body | None) -> Body | None:
         """Returns ``body`` if it belongs to this scene or is ``None``; ``name`` is used in the error message."""

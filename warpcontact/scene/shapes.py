@@ -19,7 +19,7 @@ from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
 from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.kernels.types import WORLD
 from warpcontact.meshes import icosphere
-from warpcontact.scene.elements import Body, ContactMaterial, options_of
+from warpcontact.scene.elements import Body, ContactMaterial, check_owned, options_of
 from warpcontact.storage.parameters import pack
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.devices import find_device
@@ -242,10 +242,7 @@ class ShapeContacts:
         """
         name = checks.new_name("shape_contact", name, self._elements)
         for key, one in (("shape", shape), ("other_shape", other_shape)):
-            if not isinstance(one, Shape) or self._elements.get(one.name) is not one:
-                raise ValueError(
-                    f"{key} of {name!r} must come from add_shape of this scene, got {checks.element(one)}"
-                )
+            check_owned(f"{key} of {name!r}", one, Shape, self._elements, "add_shape")
         if shape.body is other_shape.body:
             where = f"body {shape.body.name!r}" if shape.body else "the world"
             raise ValueError(f"{name}: both shapes are fixed to {where}; one must move")

@@ -51,11 +51,8 @@ def _add(
 ) -> tuple[Contact, ...]:
     name = scene.new_name("contact", name)
     checks.choice(f"{name}.sides", sides, SIDES)
-    for label, surface in (("surface_a", surface_a), ("surface_b", surface_b)):
-        if not isinstance(surface, Surface) or surface not in scene.surfaces:
-            raise ValueError(
-                f"{name}.{label} must come from add_surface of this scene, got {checks.element(surface)}"
-            )
+    scene.check_surface(f"{name}.surface_a", surface_a)
+    scene.check_surface(f"{name}.surface_b", surface_b)
     pair = _pair(name, samples, sides)
     runs = [(surface_a, surface_b, pair[0], name)]
     if sides == "average":

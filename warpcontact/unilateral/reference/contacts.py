@@ -1,7 +1,7 @@
 """Contacts of one environment: candidates measured on the host, and closed contacts assembled as matrices."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -200,10 +200,12 @@ class Candidates:
             views[name] = self.model.find_sensor(name).array(self.model.arrays).numpy()
         return views[name][self.env].astype(np.float64)
 
-    def _of_sensor(self, contact: Contact | ShapeContact) -> tuple[Array, Array, Array]:
-        def read(key: str) -> Array:
-            return self._sensor(f"{contact.name}.{key}").reshape(contact.count, -1)
+    def _contact_sensor(self, contact: Contact | ShapeContact, key: str) -> Array:
+        """Returns the last value of a sensor of a contact, (items, components)."""
+        return self._sensor(f"{contact.name}.{key}").reshape(contact.count, -1)
 
+    def _of_sensor(self, contact: Contact | ShapeContact) -> tuple[Array, Array, Array]:
+        read = partial(self._contact_sensor, contact)
         gap, status = read("gap")[:, 0], read("status")[:, 0].astype(int)
         if (status == UNSOLVED).any():
             raise RuntimeError(f"{contact.name}: shape contact did not converge")
@@ -255,10 +257,7 @@ class Candidates:
 
     def _add_compliant(self, contact: Contact, result: Array) -> None:
         """Adds the forces of a contact of a contact coupling to those of the bodies."""
-
-        def read(key: str) -> Array:
-            return self._sensor(f"{contact.name}.{key}").reshape(contact.count, -1)
-
+        read = partial(self._contact_sensor, contact)
         force = read("normal_force") * read("normal") + read("friction_force")
         point, couple = read("point"), read("torque")
         position = self.environment.read().position

@@ -16,7 +16,7 @@ from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
 from warpcontact.unilateral.reference.acceleration import FRICTION_METHODS, ParadoxError, find_contact_modes
 from warpcontact.unilateral.reference.contacts import Assembler, Assembly
 from warpcontact.unilateral.reference.environment import Snapshot
-from warpcontact.unilateral.reference.events import Event, EventKind, EventRun, sorted_by_time
+from warpcontact.unilateral.reference.events import Event, EventKind, EventRun
 from warpcontact.unilateral.reference.trajectory import (
     NO_FORCE,
     SPEED_TOLERANCE,
@@ -289,7 +289,8 @@ class EventDriven:
 
     def _result(self, stored: "_StoredStates") -> EventRun:
         times = np.array([state.time for state in stored.states])
-        return EventRun(times, tuple(stored.states), sorted_by_time(self._events), self.assembler.model.scene)
+        events = tuple(sorted(self._events, key=lambda event: event.time))
+        return EventRun(times, tuple(stored.states), events, self.assembler.model.scene)
 
     def _advance_to(self, end: float, stored: "_StoredStates") -> None:
         if self._held_contacts is None:

@@ -5,7 +5,6 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from warpcontact.unilateral.reference.environment import Snapshot
 from warpcontact.validation import checks
@@ -128,9 +127,3 @@ class EventRun:
         counts = {kind: sum(one.kind is kind for one in self.events) for kind in EventKind}
         counted = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count) or "no events"
         return f"event-driven run from {self.times[0]:g} s to {self.times[-1]:g} s: {counted}"
-
-
-def sorted_by_time(events: list[Event]) -> tuple[Event, ...]:
-    """Returns events sorted by time; simultaneous events keep their order."""
-    order: NDArray[np.int_] = np.argsort([one.time for one in events], kind="stable")
-    return tuple(events[number] for number in order)
