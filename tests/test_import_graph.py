@@ -90,6 +90,25 @@ def test_kernels_do_not_import_the_host(graph):
     assert hosts == set()
 
 
+def test_core_imports_no_family_of_force_elements(graph):
+    """The core iterates over force elements; nonsmooth contact belongs to an integrator."""
+    found = {
+        (module, target)
+        for module, targets in graph.items()
+        for target in targets
+        if module.startswith(("model.", "stepping.", "building."))
+        and target.startswith("forces.")
+        and target.count(".") > 1
+    }
+    assert found == {
+        ("model.environments", "forces.nonsmooth.sensors"),  # hint for a sensor that requires nonsmooth contact
+        ("model.environments", "forces.particle_contact.contact_pairs"),  # Model.contact_pairs
+        ("stepping.integrators.moreau_jean", "forces.nonsmooth.contacts"),
+        ("stepping.integrators.moreau_jean", "forces.nonsmooth.materials"),
+        ("stepping.outcomes.sources", "forces.nonsmooth.sensors"),
+    }
+
+
 def test_no_large_knot_of_modules(graph):
     knots = [sorted(knot) for knot in strong_components(graph) if len(knot) > MAX_KNOT]
     assert knots == []

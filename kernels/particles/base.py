@@ -6,7 +6,7 @@ stores the record of the pair. The first particle of a pair is the one with the 
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels.types import Struct, structs
@@ -135,6 +135,12 @@ def particle_structs(real: type) -> ParticleStructs:
         PairRecords=PairRecords,
         CellList=CellList,
     )
+
+
+def no_pairs(real: type) -> dict[str, Any]:
+    """Returns the arguments of a kernel that can sum the forces of pairs, if there are none: empty structs."""
+    t = particle_structs(real)
+    return {"particles": t.Particles(), "neighbor_lists": t.NeighborLists(), "pair_records": t.PairRecords()}
 
 
 @functools.cache

@@ -12,6 +12,7 @@ import warpcontact as wc
 from warpcontact.forces.couplings.point_pair_set import PointPairSet, settings_struct
 from warpcontact.forces.registry import register
 from warpcontact.scene.scene_element import PointPair
+from warpcontact.system.launches import launch_kernel
 
 
 class Magnet(PointPair):
@@ -110,8 +111,8 @@ class MagnetSet(PointPairSet):
         return plan.prepare(keep_peak, self.count, status=plan.model.arrays.status, magnets=self.results)
 
     def reset_state(self, chosen):
-        inputs, shape = [chosen, self.results], (len(chosen), self.count)
-        wp.launch(clear_peak, dim=shape, inputs=inputs, device=chosen.device)
+        shape = (len(chosen), self.count)
+        launch_kernel(clear_peak, shape, device=chosen.device, mask=chosen, magnets=self.results)
 
 
 register(Magnet, MagnetSet.declare)

@@ -11,6 +11,7 @@ from magnet import Magnet, MagnetSet
 
 import warpcontact as wc
 from warpcontact.forces import registry
+from warpcontact.forces.force_element import ForceElement, ForceTarget
 from warpcontact.scene.elements import Points
 from warpcontact.scene.scene_element import PointPair, SceneElement
 from warpcontact.usd.serialize import element_calls
@@ -153,6 +154,17 @@ def test_event_driven_simulation_includes_registered_element():
     # 1/2 z'² = 1/z − 1
     height, speed = (model.sensor(f"ball.{key}")[0, 2] for key in ("position", "linear_velocity"))
     np.testing.assert_allclose(0.5 * speed**2, 1.0 / height - 1.0, rtol=1e-6)
+
+
+def test_event_driven_simulation_refuses_forces_it_does_not_include(device, monkeypatch):
+    model = magnet_model("cpu", envs=1)
+
+    class Other(ForceElement):
+        family, target = "wind", ForceTarget.BODIES
+
+    monkeypatch.setattr(model, "force_elements", (*model.force_elements, Other()))
+    with pytest.raises(ValueError, match="forces of wind are not included in event-driven simulation"):
+        wc.unilateral.EventDriven(model)
 
 
 def test_scene_checks_arguments():

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
     from warpcontact.forces.sensor import Sensor
-    from warpcontact.forces.shape_contact.shape_sets import ShapeSet
+    from warpcontact.forces.shape_sets import ShapeSet
     from warpcontact.kernels.shapes.base import Shape
     from warpcontact.model.environments import Environments
     from warpcontact.model.model import DeviceModel
@@ -125,6 +125,11 @@ class ForceElement(ABC):
     def sums_by_body(self) -> bool:
         """Whether the integration kernel can sum its forces per body, for the target ``BODIES``."""
         return False
+
+    @property
+    def integrator_inputs(self) -> dict[str, Any]:
+        """Arguments of the integration kernel from which it sums the forces, if ``sums_by_body``."""
+        return {}
 
     def compile(self, device: wp.Device) -> None:  # noqa: B027
         """Compiles kernels with user-defined formulas, to report errors early.

@@ -16,7 +16,7 @@ from warpcontact.forces.contact_table import SceneContacts, declare_contacts
 from warpcontact.forces.ends import Ends
 from warpcontact.forces.force_element import BuildContext
 from warpcontact.forces.registry import declare_force_elements
-from warpcontact.forces.shape_contact.shape_sets import make_shape_sets
+from warpcontact.forces.shape_sets import make_shape_sets
 from warpcontact.geometry.face_grid import make_grids
 from warpcontact.geometry.query_mesh import QueryMeshCache
 from warpcontact.kernels import types

@@ -428,6 +428,11 @@ class ParticleContactSet(ForceElement):
             "pair_records": self.pair_records,
         }
 
+    @property
+    def integrator_inputs(self) -> dict[str, Any]:
+        """Arguments of the integration kernel from which it sums the forces."""
+        return self.pair_inputs
+
     def _list_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that rebuild the neighbor lists of environments in which they are no longer valid."""
         count, buckets, real, traits = self.contact.count, self._buckets, self.real, self._traits
@@ -542,14 +547,6 @@ def _constant(values: list[int]) -> Callable[[], NDArray[Any]]:
 def _parameter(parameters: Parameters, shape: Shape, key: str) -> Parameter | None:
     """Returns a parameter of a shape; ``None`` if it does not exist."""
     return parameters.by_name.get(f"{shape.name}.{key}")
-
-
-def pair_inputs(particle_set: ParticleContactSet | None, real: type) -> dict[str, Any]:
-    """Returns the arguments of kernels that go through the pairs of particles; empty structs if there is no contact."""
-    if particle_set is not None:
-        return particle_set.pair_inputs
-    t = particle_structs(real)
-    return {"particles": t.Particles(), "neighbor_lists": t.NeighborLists(), "pair_records": t.PairRecords()}
 
 
 def declare(context: BuildContext, elements: Sequence[ParticleContact]) -> list[ForceElement]:

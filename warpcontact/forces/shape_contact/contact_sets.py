@@ -14,8 +14,8 @@ from warpcontact.forces.contact_groups import compile_force_kernel, history_view
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget, Need
 from warpcontact.forces.sensor import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.forces.shape_contact.measures import has_curvatures, measure
-from warpcontact.forces.shape_contact.shape_sets import ShapeSet
 from warpcontact.forces.shape_contact.step_warnings import shape_contact_warnings
+from warpcontact.forces.shape_sets import ShapeSet
 from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
 from warpcontact.kernels.catalogue.history_variables import memory_struct

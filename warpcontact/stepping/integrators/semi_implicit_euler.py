@@ -14,10 +14,10 @@ from warpcontact.forces.execution_plan import (
     multi_step_stages,
 )
 from warpcontact.forces.launch_shape import WARP_PER_ENVIRONMENT
-from warpcontact.forces.particle_contact.contact_set import pair_inputs
 from warpcontact.kernels.broadphase import swept
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.integrators import semi_implicit
+from warpcontact.kernels.particles.base import no_pairs
 from warpcontact.stepping.integrators.base import Integrator, formulas_of
 
 if TYPE_CHECKING:
@@ -68,17 +68,17 @@ class SemiImplicitEuler(Integrator):
         a, real = model.arrays, model.types.real
         by_cluster = plan.shape.integrator_sums
         launches = force_stages(plan, state_in, dt.real, a.status, by_cluster=by_cluster)
-        # The kernel sums the wrenches of particles, see ``sums_by_body``.
-        particle_set = next(iter(model.of_family("particle contact") if by_cluster else ()), None)
+        # The kernel sums the forces of this force element, see ``ForceElement.sums_by_body``.
+        summed = next(iter(model.elements_added_to_bodies if by_cluster else ()), None)
         sources = plan.other_forces if by_cluster else None
         kernel = semi_implicit.semi_implicit_euler(
-            real, model.has_joints, sources, plan.shape.integrator_accepts, particle_set is not None
+            real, model.has_joints, sources, plan.shape.integrator_accepts, summed is not None
         )
         contact_inputs = {"contacts": a.contacts, "active_contacts": a.active_contacts, "cache": a.cache}
         launches += plan.prepare(
             kernel,
             model.body_count,
-            block_dim=SMALL_BLOCK if particle_set else None,
+            block_dim=SMALL_BLOCK if summed else None,
             status=a.status,
             step=dt.real,
             clock_step=dt.clock,
@@ -95,7 +95,7 @@ class SemiImplicitEuler(Integrator):
             write_outputs=plan.write_outputs or model.has_joints,
             wrenches=a.wrenches,
             **contact_inputs,
-            **pair_inputs(particle_set, real),
+            **(no_pairs(real) if summed is None else summed.integrator_inputs),
         )
         for element in plan.force_elements:
             launches += element.integration_launches(plan, dt, state_in, state_out)

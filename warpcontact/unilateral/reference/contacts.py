@@ -33,6 +33,8 @@ AnyContact = Contact | ShapeContact | ParticleContact
 
 # Penetration up to which a latched point counts as in contact [m]; deeper points came from the inner side.
 LATCHED_IN = 1.0e-6
+# Families of force elements that are treated as contacts.
+_CONTACTS = ("mesh contact", "shape contact", "particle contact")
 # Squared sine of the angle below which two segments are parallel.
 PARALLEL = 1.0e-10
 
@@ -75,7 +77,7 @@ class Candidates:
 
     Raises:
         ValueError: If a contact has a friction model without Coulomb coefficients, rolling or torsional friction,
-            or a force scale other than 1.
+            or a force scale other than 1; or if there are force elements other than contacts and couplings.
     """
 
     def __init__(self, environment: EnvironmentAccess) -> None:
@@ -86,6 +88,11 @@ class Candidates:
         own = [contact for contact in scene.contacts if contact.facing is None]
         self.elements: list[Contact | ShapeContact] = [*own, *scene.shape_contacts]
         self.coupling_sets = [one for one in model.force_elements if isinstance(one, CouplingSet)]
+        for one in model.force_elements:
+            if one.target is not None and one.family not in _CONTACTS and one not in self.coupling_sets:
+                raise ValueError(
+                    f"forces of {one.family} are not included in event-driven simulation and equilibrium"
+                )
         self.particle_contact_sets = [(pile, _pairs(pile)) for pile in model.of_family("particle contact")]
         names: list[str] = []
         items: list[int] = []
