@@ -8,7 +8,7 @@ import pytest
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.experiment.warning_log import WarningLog
+from warpcontact.experiment.progress import WarningLog
 from warpcontact.meshes.report import MeshReport, RepairStep
 from warpcontact.stepping.run_warnings import (
     MAX_HARMLESS_RESIDUAL,

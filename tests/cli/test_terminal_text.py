@@ -11,8 +11,8 @@ from tqdm import tqdm
 
 import warpcontact as wc
 from warpcontact.cli import main
+from warpcontact.experiment.progress import RunStatus
 from warpcontact.experiment.run import Run
-from warpcontact.experiment.status import RunStatus
 from warpcontact.stepping.chunk_sizer import progress_bar
 from warpcontact.validation import safe_text
 

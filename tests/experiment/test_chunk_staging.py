@@ -15,8 +15,7 @@ import zarr
 
 from warpcontact.experiment import store
 from warpcontact.experiment.chunks import Chunk, ChunkEncoder, compressors
-from warpcontact.experiment.expected import RunExtent
-from warpcontact.experiment.records import RunDataError
+from warpcontact.experiment.records import RunDataError, RunExtent
 from warpcontact.files.run_folder import RunPath
 
 ENVS, FRAMES = 96, 5

@@ -11,7 +11,7 @@ import pytest
 
 import warpcontact as wc
 from warpcontact.experiment.catalogue import SHAPES
-from warpcontact.experiment.defaults import default_sensors
+from warpcontact.experiment.observation import default_sensors
 from warpcontact.experiment.schema import BodySettings, ContactSettings, SurfaceSettings
 from warpcontact.geometry import query_mesh
 

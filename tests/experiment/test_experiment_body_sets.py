@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
-from warpcontact.experiment.defaults import default_sensors
+from warpcontact.experiment.observation import default_sensors
 
 POSITIONS = [[0, 0, 0.2], [1, 0, 0.3], [2, 0, 0.4], [3, 0, 0.5]]
 RADII = [0.1, 0.12, 0.14, 0.16]

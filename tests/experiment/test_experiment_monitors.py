@@ -8,8 +8,8 @@ import pytest
 from test_experiment_errors import VALID_STUDY
 
 import warpcontact as wc
+from warpcontact.experiment.experiment_copy import to_toml
 from warpcontact.experiment.observation import monitor_arguments
-from warpcontact.experiment.toml import to_toml
 
 PEAK = {"type": "Max", "of": "touch.normal_force"}
 LANDED = {"of": "ball.position", "component": "z", "below": 0.1, "lasting": 0.05}

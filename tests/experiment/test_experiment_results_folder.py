@@ -13,7 +13,7 @@ from test_experiment import content
 
 import warpcontact as wc
 from warpcontact.drawing.decimation import evenly
-from warpcontact.experiment.status import run_status
+from warpcontact.experiment.progress import run_status
 
 pytestmark = pytest.mark.installed
 
@@ -72,7 +72,7 @@ def test_folder_of_unfinished_run_can_be_reused(tmp_path):
 
 WRITER = """
 import sys, pathlib
-from warpcontact.experiment.lock import write_lock
+from warpcontact.experiment.folder import write_lock
 with write_lock(pathlib.Path(sys.argv[1])):
     print("writing", flush=True)
     sys.stdin.read()

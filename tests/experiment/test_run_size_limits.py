@@ -7,10 +7,18 @@ from dataclasses import asdict
 
 import pytest
 
-from warpcontact.experiment.expected import ChunkGrid, ExpectedFiles, RunExtent
-from warpcontact.experiment.records import AXES, Commit, RunDataError, digest, is_chunk
+from warpcontact.experiment.progress import run_status
+from warpcontact.experiment.records import (
+    AXES,
+    ChunkGrid,
+    Commit,
+    ExpectedFiles,
+    RunDataError,
+    RunExtent,
+    digest,
+    is_chunk,
+)
 from warpcontact.experiment.run import Run
-from warpcontact.experiment.status import run_status
 from warpcontact.experiment.store import Ledger, Shard, Shards
 from warpcontact.files.run_folder import RunPath
 

@@ -12,8 +12,8 @@ from test_experiment import content
 
 import warpcontact as wc
 from warpcontact.cli import main
-from warpcontact.experiment import rows_file
-from warpcontact.experiment.rows_file import read_rows
+from warpcontact.experiment import quantities
+from warpcontact.experiment.quantities import read_rows
 from warpcontact.stepping import checkpoint
 from warpcontact.system.resources import AvailableMemory
 
@@ -97,7 +97,7 @@ def test_too_large_text_file_is_refused(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["rows.npy", "rows.csv"])
 def test_rows_that_do_not_fit_into_memory_are_refused(name, tmp_path, monkeypatch):
-    monkeypatch.setattr(rows_file, "available_memory", lambda place: AvailableMemory(place, 100))
+    monkeypatch.setattr(quantities, "available_memory", lambda place: AvailableMemory(place, 100))
     with (tmp_path / name).open("wb") as file:
         file.truncate(101)
     with pytest.raises(ValueError, match=f"{name}' cannot be read: must have at most 100 B, has 101 B"):
@@ -105,7 +105,7 @@ def test_rows_that_do_not_fit_into_memory_are_refused(name, tmp_path, monkeypatc
 
 
 def test_rows_are_read_if_the_memory_size_is_unknown(tmp_path, monkeypatch):
-    monkeypatch.setattr(rows_file, "available_memory", lambda place: None)
+    monkeypatch.setattr(quantities, "available_memory", lambda place: None)
     np.save(tmp_path / "rows.npy", np.ones((2, 3)))
     np.testing.assert_array_equal(read_rows(tmp_path / "rows.npy"), np.ones((2, 3)))
 

@@ -10,9 +10,9 @@ from test_experiment import content
 
 import warpcontact as wc
 from warpcontact.cli import main
-from warpcontact.experiment import cluster, trust
+from warpcontact.experiment import execute, user_code
+from warpcontact.experiment.experiment_copy import to_toml
 from warpcontact.experiment.folder import read_summary
-from warpcontact.experiment.toml import to_toml
 from warpcontact.visualize.viewer.replay import RunSource
 
 LAWS = """
@@ -105,7 +105,7 @@ def test_run_of_the_same_user_is_resumed_and_read_without_a_flag(run):
     assert main(commands(run)["report"]) == 0
 
 
-@pytest.mark.parametrize("act", commands(trust.Path("run")))
+@pytest.mark.parametrize("act", commands(user_code.Path("run")))
 def test_run_of_another_user_runs_no_code_and_lists_its_files(act, foreign_run, capsys):
     if act.startswith("view"):
         pytest.importorskip("viser")
@@ -117,13 +117,13 @@ def test_run_of_another_user_runs_no_code_and_lists_its_files(act, foreign_run, 
         "written there; read it, then run it with --trust (Python: trust=True)"
     ]
     assert not has_run_code(foreign_run)
-    assert not trust.records().exists()
+    assert not user_code.trusted_folder().exists()
 
 
-@pytest.mark.parametrize("act", commands(trust.Path("run")))
+@pytest.mark.parametrize("act", commands(user_code.Path("run")))
 def test_trust_is_an_option_of_each_command_that_may_need_it(act, capsys):
     with pytest.raises(SystemExit) as ended:
-        main([commands(trust.Path("run"))[act][0], "--help"])
+        main([commands(user_code.Path("run"))[act][0], "--help"])
     assert ended.value.code == 0
     assert "--trust" in capsys.readouterr().out
 
@@ -149,7 +149,7 @@ def test_results_of_another_user_are_read_without_trust(foreign_run, tmp_path, c
 def test_trusted_run_needs_no_flag_again(foreign_run):
     assert wc.open_run(foreign_run, trust=True).scene.contacts
     assert has_run_code(foreign_run)
-    assert len(list(trust.records().iterdir())) == 2
+    assert len(list(user_code.trusted_folder().iterdir())) == 2
     assert wc.open_run(foreign_run).scene.contacts
     moved = shutil.copytree(foreign_run, foreign_run.parent / "moved")
     assert wc.Experiment.from_toml(moved / "experiment.toml").settings.outcome
@@ -164,19 +164,19 @@ def test_files_are_trusted_by_their_content(foreign_run):
         hashlib.sha256((foreign_run / name).read_bytes()).hexdigest() for name in ("laws.py", "outcomes.py")
     ]
     assert wc.open_run(foreign_run, trust=digests).settings.outcome
-    assert not trust.records().exists()
+    assert not user_code.trusted_folder().exists()
     with pytest.raises(wc.ExperimentError, match=r"would run outcomes\.py, Python"):
         _ = wc.open_run(foreign_run, trust=digests[:1]).settings
 
 
 def test_cluster_worker_runs_the_files_of_its_run(foreign_run):
     """Also if the user of the worker has no record of them."""
-    digests = tuple(trust.digest_of((foreign_run / name).read_bytes()) for name in ("laws.py", "outcomes.py"))
+    digests = tuple(user_code.digest_of((foreign_run / name).read_bytes()) for name in ("laws.py", "outcomes.py"))
     summary = read_summary(foreign_run)
     with pytest.raises(wc.ExperimentError, match=r"would run outcomes\.py, Python"):
-        cluster._runner(foreign_run, summary, "cpu", 1, 60.0, digests[:1])
+        execute._worker_runner(foreign_run, summary, "cpu", 1, 60.0, digests[:1])
     assert not has_run_code(foreign_run)
-    assert cluster._runner(foreign_run, summary, "cpu", 1, 60.0, digests).settings.outcome
+    assert execute._worker_runner(foreign_run, summary, "cpu", 1, 60.0, digests).settings.outcome
 
 
 def test_study_of_the_user_needs_no_flag(study, foreign_run, capsys):
@@ -199,13 +199,13 @@ def test_new_run_is_read_without_a_state_folder(study, tmp_path, monkeypatch):
 
 
 def test_trust_in_a_run_is_kept_when_its_view_is_refreshed(foreign_run, monkeypatch):
-    digests = [trust.digest_of((foreign_run / name).read_bytes()) for name in ("laws.py", "outcomes.py")]
+    digests = [user_code.digest_of((foreign_run / name).read_bytes()) for name in ("laws.py", "outcomes.py")]
     sharded_runs.change(foreign_run / "run.json", state="unfinished")
     source = RunSource(foreign_run, trust=digests)
     sharded_runs.change(foreign_run / "run.json", wall_time=1.0)  # as if more had been committed
     assert source.refresh()
     assert source.run.settings.outcome
-    assert not trust.records().exists()
+    assert not user_code.trusted_folder().exists()
 
 
 def test_missing_state_folder_causes_a_warning(tmp_path, monkeypatch):
@@ -214,7 +214,7 @@ def test_missing_state_folder_causes_a_warning(tmp_path, monkeypatch):
     with pytest.warns(
         wc.RunWarning, match="could not be recorded as trusted: Not a directory; to resume or render"
     ) as caught:
-        trust.record([b"code"])
+        user_code.record_trusted([b"code"])
     assert caught[0].message.level is wc.WarningLevel.CAUTION
     assert caught[0].filename == __file__
-    assert not trust.may_run(b"code", trust=False)
+    assert not user_code.may_run(b"code", trust=False)

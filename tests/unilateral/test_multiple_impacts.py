@@ -272,6 +272,6 @@ def test_unknown_impact_rule_is_refused(device):
 
 
 def test_experiment_settings_select_the_impact_rule():
-    from warpcontact.experiment.integration import IntegratorSettings
+    from warpcontact.experiment.observation import IntegratorSettings
 
     assert IntegratorSettings(type="MoreauJean", impacts="sequential").make().impacts == "sequential"

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import warpcontact as wc
-from warpcontact.experiment import outcome_picture
+from warpcontact.experiment import picture
 from warpcontact.scene.status import EnvironmentStatus
 
 pytestmark = pytest.mark.installed
@@ -38,14 +38,14 @@ def drawn(monkeypatch, tmp_path):
 
     def draw(outcome):
         figures = []
-        save = outcome_picture.Figure.savefig
+        save = picture.Figure.savefig
         monkeypatch.setattr(
-            outcome_picture.Figure,
+            picture.Figure,
             "savefig",
             lambda self, *to, **how: (figures.append(self), save(self, *to, **how)),
         )
         path = tmp_path / "picture.png"
-        assert outcome_picture.write_outcome_picture(path, outcome, "study")
+        assert picture.write_outcome_picture(path, outcome, "study")
         assert path.read_bytes().startswith(b"\x89PNG")
         return figures[0]
 
@@ -101,7 +101,7 @@ def test_outcomes_of_only_frozen_environments_are_plotted(outcome, drawn):
 
 def test_no_plot_is_written_without_scalar_outcomes(outcome, tmp_path):
     path = tmp_path / "picture.png"
-    assert not outcome_picture.write_outcome_picture(path, outcome[["place", "status", "end_time"]], "study")
+    assert not picture.write_outcome_picture(path, outcome[["place", "status", "end_time"]], "study")
     assert not path.exists()
 
 

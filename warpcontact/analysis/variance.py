@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.analysis.results import ExperimentResults, probability, remaining_dims, usable_outcome, variable
-from warpcontact.experiment.sample_columns import sampled_components
+from warpcontact.experiment.design import sampled_components
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array

@@ -68,9 +68,9 @@ def status(arguments: argparse.Namespace) -> int:
     Raises:
         ValueError: If the folder holds no valid run.
     """
+    from warpcontact.experiment.progress import run_status
     from warpcontact.experiment.records import RunDataError
     from warpcontact.experiment.run import open_run
-    from warpcontact.experiment.status import run_status
     from warpcontact.experiment.store import Ledger
 
     found = run_status(arguments.folder)

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.experiment.expected import ChunkGrid
-from warpcontact.experiment.records import RunDataError
+from warpcontact.experiment.records import ChunkGrid, RunDataError
 from warpcontact.files.direct_io import DirectFile
 from warpcontact.files.run_folder import RunPath
 

@@ -13,18 +13,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpcontact.experiment.errors import ExperimentError
-from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, ProgressBar, read_progress
+from warpcontact.experiment.shards import ATTEMPTS
 from warpcontact.experiment.store import Commit, RunDataError, Shard
 from warpcontact.model.quarantine import QuarantineError
 from warpcontact.storage.memory_estimate import USABLE_FRACTION, MemoryShortage, env_count_text
 from warpcontact.validation.number_format import format_bytes
-from warpcontact.validation.warning_levels import RunWarning, WarningLevel, labeled, split_label
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel, split_label
 
 if TYPE_CHECKING:
     from warpcontact.experiment.execute import RunJob, ShardRunFunction
     from warpcontact.experiment.plan import Plan
-    from warpcontact.experiment.shards import ShardRunner
 
 # Largest number of cores per shard on the CPU: further cores are used better by more shards.
 MAX_CORES = 4
@@ -92,8 +91,8 @@ class ClusterResources:
         """Returns the default maximum number of environments per shard, of ``envs``."""
         return -(-envs // (SHARDS_PER_SLOT * self.slots))
 
-    def shard_runner(self, job: "RunJob") -> "ShardRunFunction":
-        """Returns a function that runs shards of ``job`` as tasks."""
+    def shard_runner(self, job: "RunJob", run_shard: Callable[..., tuple[int, list[str]]]) -> "ShardRunFunction":
+        """Returns a function that runs shards of ``job`` as tasks, with the function ``run_shard`` of ``execute``."""
         # Ray makes only the assigned GPU visible to a worker.
         device = "cuda:0" if self.gpus else "cpu"
         options = {"num_cpus": self.cores, "num_gpus": self.gpus, "memory": self.memory, "max_retries": 0}
@@ -203,8 +202,6 @@ class _TaskScheduler:
         self.running: dict[Any, Shard] = {}
 
     def run(self) -> dict[str, str]:
-        from warpcontact.experiment.execute import ATTEMPTS
-
         failed = {}
         for shard in self.remaining:
             self._submit(shard)
@@ -270,55 +267,3 @@ class _TaskScheduler:
             done, _ = self.ray.wait(list(self.running), num_returns=1, timeout=INTERVAL)
             for reference in done:
                 del self.running[reference]
-
-
-#: The shard runner of this worker process, reused for several shards of a run.
-_RUNNERS: dict[tuple[str, str, str, int, float], "ShardRunner"] = {}
-
-
-def run_shard(
-    number: int, folder: str, device: str, threads: int, checkpoint_interval: float, laws: tuple[str, ...]
-) -> tuple[int, list[str]]:
-    """Runs a shard of the run in a folder; the function of a Ray task.
-
-    Returns:
-        Number of frozen environments, and warnings with their levels as prefix.
-    """
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
-    from warpcontact.experiment.store import Shards
-
-    path = Path(folder)
-    summary = read_summary(path) or {}
-    key = (folder, str(summary.get("started")), device, threads, checkpoint_interval)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        if key not in _RUNNERS:
-            _RUNNERS.clear()
-            _RUNNERS[key] = _runner(path, summary, device, threads, checkpoint_interval, laws)
-        runner = _RUNNERS[key]
-        shard = Shards(summary["envs"], summary["shard"])[number]
-        commit = runner.ledger.commits().get(number)
-        runner.ledger.recover(shard, commit or Commit(number))
-        commit = runner.run(shard, commit)
-    kinds = UserWarning | RuntimeWarning
-    return commit.frozen, [labeled(one.message) for one in caught if issubclass(one.category, kinds)]
-
-
-def _runner(
-    folder: Path,
-    summary: Mapping[str, Any],
-    device: str,
-    threads: int,
-    checkpoint_interval: float,
-    laws: tuple[str, ...],
-) -> "ShardRunner":
-    from warpcontact.experiment.run import open_run
-    from warpcontact.experiment.shards import SeriesSchedule, ShardRunner
-
-    experiment = open_run(folder, trust=laws).experiment
-    settings = experiment.settings
-    model = experiment.draft(device).build(summary["shard"])
-    frames = SeriesSchedule.of(settings, summary["block"])
-    return ShardRunner(model, settings, experiment.design, frames, folder, checkpoint_interval, threads)

@@ -1,8 +1,4 @@
-"""Reads recorded sensors as one curve per environment, with extreme values, for pictures and reports.
-
-The items of a set are reduced to one number: the smallest gap, the largest penetration, the sum of forces, otherwise
-the mean. Series are read in blocks of time, so that memory use is bounded by the number of returned values.
-"""
+"""Data of pictures and reports: recorded sensors as one curve per environment, with extremes, and bins of histograms."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -13,6 +9,10 @@ from numpy.typing import NDArray
 
 from warpcontact.model.flags import words_of
 from warpcontact.validation.checks import Array
+
+BINS = 60
+# Largest span of integer values with one bin each.
+MAX_INTEGER_BINS = 40
 
 # Largest number of environments for quantiles: more would not change them visibly.
 SAMPLE_SIZE = 4096
@@ -36,6 +36,26 @@ _SUMS = ("normal_force", "impulse", "kinetic_energy", "tension_a", "tension_b")
 _LARGEST = ("penetration", "max_penetration")
 # Sensors that are not drawn.
 _NOT_DRAWN = ("orientation", "point", "normal")
+
+
+def has_integer_bins(values: NDArray[np.float64]) -> bool:
+    """Whether finite values are integers that span few enough numbers for one bin each."""
+    # Beyond 2⁵¹, bin edges between integers cannot be represented.
+    small = np.abs(values).max() < 2.0**51
+    return bool(small and (values == np.round(values)).all() and np.ptp(values) <= MAX_INTEGER_BINS)
+
+
+def bin_edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the bin edges of a histogram of finite values."""
+    low, high = float(values.min()), float(values.max())
+    if has_integer_bins(values):
+        return np.arange(low, high + 2.0) - 0.5
+    count = int(np.clip(np.sqrt(len(values)), 10, BINS))
+    # Values that differ only by rounding errors are in one bin.
+    margin = 1.0e-6 * max(abs(low), abs(high))
+    if high - low <= margin:
+        low, high, count = low - margin, high + margin, 1
+    return np.linspace(low, high, count + 1)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 ``start`` creates the folder and the empty store, ``run_remaining`` runs the unfinished shards and retries those that
 fail, and writes ``run.json``, the picture and the animation when all are finished. The shards run in this process
-(``run_in_process``) or on a cluster (``cluster.py``).
+(``run_in_process``) or in worker processes of a cluster (``run_shard``, see ``cluster.py``).
 """
 
 import contextlib
@@ -21,30 +21,24 @@ import warp as wp
 from warpcontact._version import __version__
 from warpcontact.building.scene import Scene
 from warpcontact.experiment import folder as files_of
-from warpcontact.experiment import store, trust
+from warpcontact.experiment import store, user_code
 from warpcontact.experiment.design import Design
-from warpcontact.experiment.disk import find_disk
 from warpcontact.experiment.errors import ExperimentError
-from warpcontact.experiment.expected import RunExtent
-from warpcontact.experiment.fingerprint import differences, fingerprint
-from warpcontact.experiment.lock import write_lock
-from warpcontact.experiment.plan import DRAWN_AT_ONCE, Plan
-from warpcontact.experiment.progress import ProgressBar
+from warpcontact.experiment.experiment_copy import ExperimentCopy, differences, fingerprint, to_toml
+from warpcontact.experiment.folder import write_lock
+from warpcontact.experiment.plan import DRAWN_AT_ONCE, Plan, find_disk
+from warpcontact.experiment.progress import ProgressBar, WarningLog
+from warpcontact.experiment.records import RunExtent
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.shards import SeriesSchedule, ShardRunner
+from warpcontact.experiment.shards import ATTEMPTS, SeriesSchedule, ShardRunner
 from warpcontact.experiment.store import Commit, Ledger, RunDataError, Shard, Shards
-from warpcontact.experiment.toml import to_toml
-from warpcontact.experiment.warning_log import WarningLog
 from warpcontact.files.run_folder import RunPath
 from warpcontact.model.environments import Environments
 from warpcontact.model.quarantine import QuarantineError
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.number_format import format_bytes
-from warpcontact.validation.warning_levels import RunWarning, WarningLevel
-
-#: Number of attempts per shard.
-ATTEMPTS = 3
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel, labeled
 
 # The disk or the quota of the user is full.
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -72,7 +66,7 @@ class RunJob:
     scene: Scene
     design: Design
     plan: Plan
-    copy: files_of.ExperimentCopy
+    copy: ExperimentCopy
     folder: Path
     progress: bool | None
     on_stage: Callable[[str], None]
@@ -93,7 +87,7 @@ class RunJob:
     @property
     def laws(self) -> tuple[str, ...]:
         """SHA-256 of the law files of the experiment. Files of the folder with this content are trusted."""
-        return tuple(trust.digest_of(content) for content in self.copy.files.values())
+        return tuple(user_code.digest_of(content) for content in self.copy.files.values())
 
     def runner(self, model: Environments) -> ShardRunner:
         """Returns a runner of shards on ``model``."""
@@ -130,7 +124,7 @@ def _make_folder(runner: ShardRunner, job: RunJob) -> None:
     files_of.write_summary(folder, _first_summary(runner.model, job))
     comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
     text = to_toml(job.copy.settings, comment).encode()
-    trust.record(job.copy.files.values())
+    user_code.record_trusted(job.copy.files.values())
     for name, content in {files_of.EXPERIMENT: text, **job.copy.files}.items():
         with (RunPath(folder) / name).replacing() as file:
             file.write(content)
@@ -320,13 +314,58 @@ def run_with_retries(
     return None
 
 
+#: The shard runner of this worker process, reused for several shards of a run.
+_RUNNERS: dict[tuple[str, str, str, int, float], ShardRunner] = {}
+
+
+def run_shard(
+    number: int, folder: str, device: str, threads: int, checkpoint_interval: float, laws: tuple[str, ...]
+) -> tuple[int, list[str]]:
+    """Runs a shard of the run in a folder; the function of a Ray task.
+
+    Returns:
+        Number of frozen environments, and warnings with their levels as prefix.
+    """
+    wp.config.log_level = wp.LOG_ERROR
+    path = Path(folder)
+    summary = files_of.read_summary(path) or {}
+    key = (folder, str(summary.get("started")), device, threads, checkpoint_interval)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        if key not in _RUNNERS:
+            _RUNNERS.clear()
+            _RUNNERS[key] = _worker_runner(path, summary, device, threads, checkpoint_interval, laws)
+        runner = _RUNNERS[key]
+        shard = Shards(summary["envs"], summary["shard"])[number]
+        commit = runner.ledger.commits().get(number)
+        runner.ledger.recover(shard, commit or Commit(number))
+        commit = runner.run(shard, commit)
+    kinds = UserWarning | RuntimeWarning
+    return commit.frozen, [labeled(one.message) for one in caught if issubclass(one.category, kinds)]
+
+
+def _worker_runner(
+    folder: Path,
+    summary: Mapping[str, Any],
+    device: str,
+    threads: int,
+    checkpoint_interval: float,
+    laws: tuple[str, ...],
+) -> ShardRunner:
+    experiment = open_run(folder, trust=laws).experiment
+    settings = experiment.settings
+    model = experiment.draft(device).build(summary["shard"])
+    frames = SeriesSchedule.of(settings, summary["block"])
+    return ShardRunner(model, settings, experiment.design, frames, folder, checkpoint_interval, threads)
+
+
 def _is_finished(commits: Mapping[int, Commit], shard: Shard) -> bool:
     return shard.number in commits and commits[shard.number].finished
 
 
 def _first_summary(model: Environments, job: RunJob) -> dict[str, Any]:
     settings, frames = job.settings, job.frames
-    laws = {name: trust.digest_of(content) for name, content in job.copy.files.items()}
+    laws = {name: user_code.digest_of(content) for name, content in job.copy.files.items()}
     return {
         "state": files_of.UNFINISHED,
         "name": settings.name,
@@ -391,8 +430,7 @@ def _write_views(run: Run, job: RunJob) -> None:
     """Writes the picture and, with series, the animation."""
     import zarr
 
-    from warpcontact.experiment.outcome_picture import write_outcome_picture
-    from warpcontact.experiment.picture import write_picture
+    from warpcontact.experiment.picture import write_outcome_picture, write_picture
     from warpcontact.usd import export_usd
 
     settings, files = job.settings, RunPath(run.folder)

@@ -10,20 +10,16 @@ from typing import TYPE_CHECKING, Any
 from warpcontact.building.model import Model, SplitModel
 from warpcontact.building.plan import ModelPlan, plan_model
 from warpcontact.building.scene import Scene
-from warpcontact.experiment.assemble import FileCache, SceneBuilder
-from warpcontact.experiment.build_check import check_build
+from warpcontact.experiment.assemble import FileCache, SceneBuilder, check_build
 from warpcontact.experiment.catalogue import FileMesh
-from warpcontact.experiment.changes import apply_overrides
-from warpcontact.experiment.defaults import default_interval, default_sensors
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems
-from warpcontact.experiment.observation import check_monitors, monitor_arguments
-from warpcontact.experiment.parser import ExperimentParts, load_toml, read_settings
-from warpcontact.experiment.plan import Plan, make_plan, recording_size
+from warpcontact.experiment.observation import check_monitors, default_interval, default_sensors, monitor_arguments
+from warpcontact.experiment.parser import ExperimentParts, apply_overrides, load_toml, read_settings
+from warpcontact.experiment.plan import Plan, TimeEstimate, estimate_time, find_disk, make_plan, recording_size
 from warpcontact.experiment.sampling import Sobol
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.trust import Trust
-from warpcontact.experiment.user_code import UserFiles
+from warpcontact.experiment.user_code import Trust, UserFiles
 from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.forces.nonsmooth.sensors import is_nonsmooth_sensor, sensor_hint
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
@@ -37,9 +33,8 @@ from warpcontact.system import process
 from warpcontact.validation.warning_levels import RunWarning
 
 if TYPE_CHECKING:
+    from warpcontact.experiment.progress import WarningLog
     from warpcontact.experiment.run import Run
-    from warpcontact.experiment.time_estimate import TimeEstimate
-    from warpcontact.experiment.warning_log import WarningLog
 
 #: Default time between checkpoints [s].
 CHECKPOINT = 60.0
@@ -233,10 +228,11 @@ class Experiment:
             check_resumable,
             run_in_process,
             run_remaining,
+            run_shard,
             start,
         )
-        from warpcontact.experiment.lock import write_lock
-        from warpcontact.experiment.warning_log import WarningLog
+        from warpcontact.experiment.experiment_copy import copy_experiment
+        from warpcontact.experiment.progress import WarningLog
         from warpcontact.system.process import terminate_as_interrupt
 
         _check_shard(shard, self.source)
@@ -245,7 +241,7 @@ class Experiment:
         # Before stages that may take long.
         files_of.check_usable(folder, overwrite=overwrite, resume=resume)
         experiment = self.changed(envs=envs, duration=duration)
-        copy = files_of.copy_experiment(experiment.settings, experiment.folder, folder, experiment._user_files)
+        copy = copy_experiment(experiment.settings, experiment.folder, folder, experiment._user_files)
         warning_log = WarningLog(on_warning)
         report_stage = on_stage or _ignore_stage
         with (
@@ -259,7 +255,7 @@ class Experiment:
             summary = None
             if resume:
                 if folder.is_dir():
-                    exit_stack.enter_context(write_lock(folder))
+                    exit_stack.enter_context(files_of.write_lock(folder))
                 summary = files_of.check_started(folder)
                 _check_same_shard(shard, summary, folder)
             else:
@@ -301,14 +297,14 @@ class Experiment:
             if done:
                 return run_remaining(job, lambda remaining, commits, bar: {})
             if resources is not None and summary is not None:
-                return run_remaining(job, resources.shard_runner(job))
+                return run_remaining(job, resources.shard_runner(job, run_shard))
             report_stage(f"building {plan.shard} environments")
             runner = job.runner(draft.build(plan.shard))
             if summary is None:
                 start(runner, job, exit_stack)
             if resources is not None:
                 del runner, draft  # frees memory for the workers
-                return run_remaining(job, resources.shard_runner(job))
+                return run_remaining(job, resources.shard_runner(job, run_shard))
             return run_remaining(job, run_in_process(runner, job))
 
     def _report_meshes(self, warning_log: "WarningLog") -> None:
@@ -346,14 +342,10 @@ class Experiment:
             plan = make_plan(changed.draft(device), changed._size, changed.settings, changed.design, shard)
         if out is None:
             return plan
-        from warpcontact.experiment.disk import find_disk
-
         return dataclasses.replace(plan, disk=find_disk(Path(out)))
 
-    def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> "TimeEstimate":
+    def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> TimeEstimate:
         """Steps at most ``shard`` environments for a few seconds; returns an estimate of the duration of a run."""
-        from warpcontact.experiment.time_estimate import estimate_time
-
         with self._user_files.named_errors():
             return estimate_time(self.draft(device), self.settings, self.design, shard or self.settings.envs)
 

@@ -1,28 +1,26 @@
-"""Files of a run folder: checks whether a folder may be used, and writes ``run.json`` and the experiment."""
+"""Files of a run folder: checks whether a folder may be used, locks it, and writes ``run.json``.
+
+The system releases the lock when a process ends.
+"""
 
 import contextlib
-import itertools
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from warpcontact._version import __version__
-from warpcontact.experiment.catalogue import DeviceModelSettings, FileMesh, Section, ShapeMesh, user_class
 from warpcontact.experiment.errors import ExperimentError, abbreviated
-from warpcontact.experiment.force_elements import ForceElementSettings
-from warpcontact.experiment.lock import is_locked, locked_error
-from warpcontact.experiment.observation import OutcomeSettings
 from warpcontact.experiment.records import COMMITS, DATA, STAGING
-from warpcontact.experiment.schema import DEVICE_MODEL_SECTIONS, ROW_KEYS, Settings
 from warpcontact.experiment.store import CHECKPOINTS
-from warpcontact.experiment.user_code import UserFiles
-from warpcontact.experiment.variation import relocate
 from warpcontact.files.atomic_files import write_json
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import EXPERIMENT, PARTIAL, SUMMARY, RunPath
+
+#: Number of attempts to acquire the lock.
+LOCK_ATTEMPTS = 5
 
 ANIMATION = "animation.usdc"
 PICTURE = "picture.png"
@@ -50,19 +48,66 @@ _TEXTS = ("state", "name", "device", "fingerprint")
 _MOST = 2**31 - 1
 
 
-@dataclass(frozen=True)
-class ExperimentCopy:
-    """An experiment as it is saved in its run folder, so that it can be repeated from there.
+try:
+    import fcntl
+except ImportError:  # Windows has no locks on folders
+    fcntl = None  # type: ignore[assignment]
 
-    Attributes:
-        settings: The experiment, with file names relative to the run folder.
-        files: Content of the copied law files, by their names in the run folder.
-        external: Files with meshes and rows, which are not copied.
+
+@contextlib.contextmanager
+def write_lock(folder: Path) -> Iterator[None]:
+    """Locks an existing ``folder`` against writing by other processes, until the block is left.
+
+    There is no lock on Windows and on file systems without locks.
+
+    Raises:
+        ExperimentError: If another process holds the lock.
     """
+    with _opened(folder) as opened:
+        # Retry, because ``is_locked`` holds a shared lock for a short time.
+        for _ in range(LOCK_ATTEMPTS):
+            if _lock(opened, exclusive=True):
+                break
+            time.sleep(0.05)
+        else:
+            raise locked_error(folder)
+        yield
 
-    settings: Settings
-    files: dict[str, bytes]
-    external: tuple[Path, ...] = ()
+
+def is_locked(folder: Path) -> bool:
+    """Whether a process is writing into ``folder``."""
+    if not folder.is_dir():
+        return False
+    with _opened(folder) as opened:
+        return not _lock(opened, exclusive=False)
+
+
+def locked_error(folder: Path) -> ExperimentError:
+    """Returns the error that a process is writing into ``folder``."""
+    return ExperimentError(str(folder), ["another process is running and writes there"])
+
+
+@contextlib.contextmanager
+def _opened(folder: Path) -> Iterator[int | None]:
+    with RunPath(folder).opened() as (_, opened):  # closing the folder releases the lock
+        yield None if fcntl is None else opened
+
+
+def _lock(opened: int | None, *, exclusive: bool) -> bool:
+    """Acquires the lock without waiting; returns False if another process holds it.
+
+    The folder itself is locked, by its descriptor: a lock file, as of the package filelock, could be a planted link,
+    would remain in the folder, and could not be created to query a folder that cannot be written.
+    """
+    if opened is None:
+        return True
+    try:
+        fcntl.flock(opened, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def check_usable(folder: Path, *, overwrite: bool, resume: bool) -> None:
@@ -214,103 +259,3 @@ def remove_work_subfolders(folder: Path) -> None:
     for name in (STAGING, CHECKPOINTS, PROGRESS):
         with contextlib.suppress(OSError):
             (RunPath(folder) / name).remove()
-
-
-def copy_experiment(settings: Settings, old: Path, new: Path, user_files: UserFiles) -> ExperimentCopy:
-    """Returns the copy of an experiment in folder ``old`` that is saved in run folder ``new``.
-
-    Files with meshes and rows are not copied. Law files are copied, with the content that was loaded: they must be in
-    the folder of the experiment, and are small.
-    """
-    names: dict[Path, str] = {}
-    files: dict[str, bytes] = {}
-
-    def with_file(table: DeviceModelSettings | OutcomeSettings | ForceElementSettings) -> Section:
-        file, cls = user_class(table.type)
-        if not file:
-            return table
-        found = user_files.file(file)
-        if found.path not in names:
-            names[found.path] = _free_name(found.path, names.values())
-            files[names[found.path]] = found.content
-        return table.model_copy(update={"type": f"{names[found.path]}:{cls}"})
-
-    def renamed(entry: Section) -> Section:
-        changes = {}
-        for key, table in entry:
-            if isinstance(table, DeviceModelSettings):
-                changes[key] = with_file(table)
-        return entry.model_copy(update=changes)
-
-    sections: dict[str, Any] = {
-        name: tuple(map(renamed, getattr(settings, name))) for name in DEVICE_MODEL_SECTIONS
-    }
-    sections["force_element"] = tuple(map(with_file, settings.force_element))
-    sections["outcome"] = {name: with_file(table) for name, table in settings.outcome.items()}
-    whole = settings.model_copy(update=sections)
-    moved = _with_rows_from(_with_meshes_from(whole, old, new), old, new)
-    return ExperimentCopy(moved, files, tuple(_external_files(settings, old)))
-
-
-def _free_name(path: Path, taken: Iterable[str]) -> str:
-    """Returns the name of file ``path``, with a number if it is in use, ignoring case as some file systems do."""
-    used = {name.casefold() for name in taken}
-    numbered = (f"{path.stem}_{number}{path.suffix}" for number in itertools.count(2))
-    return next(name for name in itertools.chain([path.name], numbered) if name.casefold() not in used)
-
-
-def _with_meshes_from(settings: Settings, old: Path, new: Path) -> Settings:
-    """Returns ``settings`` with mesh file names relative to folder ``new`` instead of ``old``."""
-    surfaces = []
-    for surface in settings.surface:
-        found = tuple(_mesh_from(mesh, old, new) for mesh in surface.meshes.values())
-        mesh = found if isinstance(surface.mesh, tuple) else found[0]
-        surfaces.append(surface.model_copy(update={"mesh": mesh}))
-    return settings.model_copy(update={"surface": tuple(surfaces)})
-
-
-def _mesh_from(mesh: FileMesh | ShapeMesh, old: Path, new: Path) -> FileMesh | ShapeMesh:
-    if not isinstance(mesh, FileMesh):
-        return mesh
-    return mesh.model_copy(update={"file": _file_from(mesh.file, old, new)})
-
-
-def _with_rows_from(settings: Settings, old: Path, new: Path) -> Settings:
-    """Returns ``settings`` with the names of row files relative to folder ``new`` instead of ``old``."""
-
-    def renamed(entry: Section, keys: tuple[str, ...]) -> Section:
-        named = {key: getattr(entry, key) for key in keys if isinstance(getattr(entry, key), str)}
-        return entry.model_copy(update={key: _file_from(file, old, new) for key, file in named.items()})
-
-    sections = {
-        name: tuple(renamed(entry, keys) for entry in getattr(settings, name)) for name, keys in ROW_KEYS.items()
-    }
-    variation = relocate(settings.variation, lambda file: _file_from(file, old, new))
-    return settings.model_copy(update=sections | {"variation": variation})
-
-
-def _file_from(name: str, old: Path, new: Path) -> str:
-    """Returns a file name that is relative to folder ``old``, relative to folder ``new``."""
-    if Path(name).is_absolute():
-        return name
-    target = (old / name).resolve()
-    try:
-        return Path(os.path.relpath(target, new.resolve())).as_posix()
-    except ValueError:  # on another drive
-        return target.as_posix()
-
-
-def _external_files(settings: Settings, folder: Path) -> Iterator[Path]:
-    """Iterates over the mesh and row files of an experiment in ``folder``."""
-    for surface in settings.surface:
-        for mesh in surface.meshes.values():
-            if isinstance(mesh, FileMesh):
-                yield folder / mesh.file
-    for section, keys in ROW_KEYS.items():
-        for entry in getattr(settings, section):
-            for key in keys:
-                if isinstance(getattr(entry, key), str):
-                    yield folder / getattr(entry, key)
-    for varied in settings.variation.values():
-        if isinstance(varied.values, str):
-            yield folder / varied.values

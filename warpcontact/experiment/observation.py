@@ -1,4 +1,4 @@
-"""Settings of an experiment for outcomes, stop conditions, events, quarantine, recording and output."""
+"""Settings of the simulation of an experiment: integrator, outcomes, stop conditions, events, recording and output."""
 
 import inspect
 from collections.abc import Callable, Iterable
@@ -19,25 +19,33 @@ from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section, user_class
 from warpcontact.experiment.errors import Problems, abbreviated, key_path
 from warpcontact.experiment.user_code import UserFiles
+from warpcontact.forces.nonsmooth.materials import IMPACT_LAWS
 from warpcontact.kernels.catalogue.names import stored_name, suggestion
 from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
 from warpcontact.kernels.outcomes.source import EACH, ITEM_REDUCTIONS
 from warpcontact.model.environments import Environments
+from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
 from warpcontact.scene.scene_data import MAX_DISTANCE, MAX_SPEED
 from warpcontact.stepping import outcomes
-from warpcontact.stepping.integrators import Integrator
+from warpcontact.stepping.integrators import INTEGRATORS, Integrator
+from warpcontact.stepping.integrators.moreau_jean import RECOVERY_TIME, SOLVERS, THETA, TOLERANCE
 from warpcontact.stepping.outcomes.observer import sources_of
 from warpcontact.stepping.outcomes.sources import SourceResolver
-from warpcontact.stepping.outcomes.watch import (
-    LASTING,
-    POLICIES,
-    RESERVED,
-    ContactEvents,
-    StopCondition,
-)
+from warpcontact.stepping.outcomes.watch import LASTING, POLICIES, RESERVED, ContactEvents, StopCondition
+from warpcontact.stepping.simulation import Simulation
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.validation import checks
 from warpcontact.validation.checks import limits
+
+# Default sensors of couplings.
+_COUPLING_SENSORS: dict[type, tuple[str, str]] = {
+    SpringDamper: ("length", "force"),
+    Bushing: ("displacement", "force"),
+    Catenary: ("tension_a", "tension_b"),
+}
+
+# Default number of intervals between frames.
+DEFAULT_FRAMES = 100
 
 if TYPE_CHECKING:
     from warpcontact.experiment.schema import Settings
@@ -47,6 +55,58 @@ _Sensor = Annotated[str, AfterValidator(stored_name)]
 _COMPONENT = Annotated[str | None, q.one_of(tuple(COMPONENTS))]
 _ITEMS = Annotated[str, q.one_of(ITEM_REDUCTIONS)]
 _LIMIT = Annotated[float | None, q.numbers((), allowed=_NUMBER)]
+
+
+class IntegratorSettings(Section):
+    """``[integrator]``: the time integrator. All keys but ``type`` are those of ``MoreauJean``."""
+
+    type: Annotated[str, q.one_of(tuple(INTEGRATORS))] = "SemiImplicitEuler"
+    theta: Annotated[float | None, q.numbers((), allowed=THETA)] = None
+    solver: Annotated[str | None, q.one_of(tuple(SOLVERS))] = None
+    iterations: int | None = Field(default=None, ge=1)
+    tolerance: Annotated[float | None, q.numbers((), allowed=TOLERANCE)] = None
+    recovery_time: Annotated[float | None, q.numbers((), allowed=RECOVERY_TIME)] = None
+    impacts: Annotated[str | None, q.one_of(IMPACT_LAWS)] = None
+    compliant: Annotated[tuple[str, ...] | None, Field(strict=False)] = None
+
+    def make(self) -> Integrator:
+        """Returns the integrator."""
+        return INTEGRATORS[self.type](**self.model_dump(exclude={"type"}, exclude_none=True))
+
+    @model_validator(mode="after")
+    def _check_keys(self) -> "IntegratorSettings":
+        given = list(self.model_dump(exclude={"type"}, exclude_none=True))
+        if given and self.type != "MoreauJean":
+            raise ValueError(f": {', '.join(given)} requires type = 'MoreauJean', got {self.type!r}")
+        return self
+
+
+def default_interval(settings: "Settings") -> float:
+    """Returns the default time between frames [s]."""
+    steps = max(1, round(settings.duration / settings.dt / DEFAULT_FRAMES))
+    return float(f"{steps * settings.dt:.12g}")
+
+
+def default_sensors(model: Environments, *, with_gap: bool = False) -> list[str]:
+    """Returns the default sensors: the most important ones of each element, and the kinetic energy of the scene.
+
+    Args:
+        model: The model.
+        with_gap: Whether to include gaps of point contacts without contact, which require a search.
+    """
+    scene = model.scene
+    depth = "gap" if with_gap else "penetration"
+    sensors: list[tuple[str, tuple[str, ...]]]
+    sensors = [(contact.name, (depth, "normal_force")) for contact in scene.contacts if contact.points.single]
+    sensors += [(contact.name, ("gap", "normal_force")) for contact in scene.shape_contacts if contact.single]
+    sensors += [(contact.name, ("contacts", "max_penetration")) for contact in scene.particle_contacts]
+    sensors += [(coupling.name, _COUPLING_SENSORS[type(coupling)]) for coupling in scene.couplings]
+    sensors += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
+    sensors += [(element.name, element.recorded) for element in scene.force_elements]
+    # For sets only sums over all items are recorded by default.
+    joints = [f"{body.name}.{key}" for body in scene.bodies if body.single for key in ("angle", "displacement")]
+    names = [f"{name}.{key}" for name, keys in sensors for key in keys]
+    return names + [name for name in joints if name in model.sensor_names] + ["scene.kinetic_energy"]
 
 
 class OutcomeSettings(Section):
@@ -196,6 +256,18 @@ def monitor_arguments(settings: "Settings") -> dict[str, Any]:
         "events": None if settings.events is None else settings.events.make(),
         "quarantine": settings.quarantine.policy,
     }
+
+
+def make_simulation(model: Environments, settings: "Settings", threads: int | None = None) -> Simulation:
+    """Returns the simulation of an experiment."""
+    return Simulation(
+        model,
+        dt=settings.dt,
+        integrator=settings.integrator.make(),
+        crossing_substeps=settings.crossing_substeps,
+        threads=threads,
+        **monitor_arguments(settings),
+    )
 
 
 def check_monitors(

@@ -1,22 +1,26 @@
-"""Estimates memory and disk use of an experiment and chooses the shard size.
+"""Estimates memory, disk space and time of an experiment and chooses the shard size.
 
 ``make_plan`` finds the largest shard that fits into the available memory of the devices and the host, and the number
 of frames per block of the recording. The estimate covers model, simulation, recording buffers and writing.
+``estimate_time`` steps some environments for two seconds.
 """
 
+import shutil
+import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from warpcontact.building.plan import ModelPlan
 from warpcontact.experiment.design import Design
-from warpcontact.experiment.disk import Disk
-from warpcontact.experiment.observation import monitor_arguments
+from warpcontact.experiment.observation import make_simulation, monitor_arguments
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHUNK, WRITERS
 from warpcontact.model.environments import Environments
 from warpcontact.model.plan import DeviceModelPlan
 from warpcontact.stepping.recorder import Recorder, RecordingSize
+from warpcontact.stepping.simulation import MIN_CHUNK
 from warpcontact.stepping.step_counts import frame_count, recorded_steps
 from warpcontact.storage.memory_estimate import (
     CAUTIOUS_FRACTION,
@@ -32,7 +36,12 @@ from warpcontact.storage.memory_estimate import (
     usable_bytes,
 )
 from warpcontact.system.resources import HOST, AvailableMemory, used_memory
-from warpcontact.validation.number_format import format_bytes
+from warpcontact.validation.number_format import duration_text, format_bytes
+
+# Duration of the measurement [s], and numbers of environments: enough for all threads of a machine, or for a GPU.
+DURATION = 2.0
+CPU_ENVS = 1024
+GPU_ENVS = 32768
 
 # Largest block of frames [bytes]. One block is written while the next one is recorded.
 BLOCK = 32 * 2**20
@@ -50,6 +59,93 @@ LIBRARIES = 100 * 2**20
 LIBRARIES_FOR_SERIES = 192 * 2**20
 # Shard sizes are rounded to this many significant bits, so that they are divisible by a suitable chunk size.
 SHARD_BITS = 6
+
+
+@dataclass(frozen=True)
+class Disk:
+    """The disk of an existing or future folder.
+
+    Attributes:
+        folder: The folder.
+        free: Free space for this user [bytes].
+    """
+
+    folder: Path
+    free: int
+
+    def __str__(self) -> str:
+        return f"{format_bytes(self.free)} is free on the disk of {self.folder}"
+
+
+def find_disk(folder: Path) -> Disk | None:
+    """Returns the disk of ``folder``, or of its nearest existing parent; ``None``: not reported by the system."""
+    existing = folder.absolute()
+    existing = next((one for one in (existing, *existing.parents) if one.exists()), existing)
+    try:
+        return Disk(folder, shutil.disk_usage(existing).free)
+    except OSError:
+        return None
+
+
+@dataclass(frozen=True)
+class TimeEstimate:
+    """Estimated wall time of a run, and the measurement it is based on.
+
+    Attributes:
+        envs: Number of environments that were stepped.
+        steps: Number of steps that were taken.
+        total_steps: Number of steps of the run.
+        rate: Environment steps per second.
+        total_env_steps: Number of environment steps of the run.
+    """
+
+    envs: int
+    steps: int
+    total_steps: int
+    rate: float
+    total_env_steps: int
+
+    @property
+    def seconds(self) -> float:
+        """Estimated wall time of stepping, without writing [s]."""
+        return self.total_env_steps / self.rate
+
+    def __str__(self) -> str:
+        return (
+            f"time: about {duration_text(self.seconds)} of stepping, at "
+            f"{self.rate:.3g} environment steps per second "
+            f"(measured with {self.envs} environments over the first {self.steps} of {self.total_steps} steps)"
+        )
+
+
+def estimate_time(draft: ModelPlan, settings: Settings, design: Design, max_envs: int) -> TimeEstimate:
+    """Measures the stepping rate of some environments of an experiment.
+
+    Args:
+        draft: Plan of the model; cannot be used again.
+        settings: The experiment, with all defaults.
+        design: The varied parameters.
+        max_envs: Maximum number of environments.
+    """
+    on_gpu = any(part.device.is_cuda for part in draft.parts)
+    envs = min(settings.envs, max_envs, GPU_ENVS if on_gpu else CPU_ENVS)
+    model = draft.build(envs)
+    for name, rows in design.rows(0, envs).items():
+        model[name] = rows
+    simulation = make_simulation(model, settings)
+    simulation.warned_at_start = True
+    steps, _ = recorded_steps(settings.duration, settings.record.every, settings.dt)
+    simulation.step()  # compiles the kernels
+    simulation.reset()
+    done = 0
+    start = time.perf_counter()
+    while done < steps and time.perf_counter() - start < DURATION:
+        count = min(max(MIN_CHUNK, done), steps - done)
+        simulation.step(count)
+        model.health()  # synchronizes with a GPU
+        done += count
+    elapsed = time.perf_counter() - start
+    return TimeEstimate(envs, done, steps, envs * done / elapsed, settings.envs * steps)
 
 
 @dataclass(frozen=True)

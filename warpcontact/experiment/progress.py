@@ -1,28 +1,87 @@
-"""Reports the progress of a run: as a progress bar in the terminal, and as files for other processes."""
+"""Progress and warnings of a run: progress bar, progress files for other processes, status from the run folder."""
 
 import contextlib
 import json
 import os
 import re
 import time
-from collections.abc import Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from warpcontact.experiment.folder import PROGRESS
-from warpcontact.experiment.store import Commit, Shard
+from warpcontact.experiment import folder as files_of
+from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.folder import PROGRESS, is_locked
+from warpcontact.experiment.store import Commit, Ledger, Shard, Shards
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import RunPath
+from warpcontact.meshes.report import MeshReport
 from warpcontact.storage.memory_estimate import env_count_text
-from warpcontact.validation.safe_text import terminal
+from warpcontact.validation.number_format import duration_text
+from warpcontact.validation.safe_text import escape_lines, terminal
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel, labeled
 
 # Smallest time between updates [s].
 INTERVAL = 1.0
 # Largest size of a progress file that is read [bytes].
-MOST = 2**16
+MAX_PROGRESS_FILE = 2**16
 
 _FILE = re.compile(r"shard_(\d{6,})\.json")
+
+# Progress files older than this are ignored [s].
+PROGRESS_TIMEOUT = 60.0
+
+
+class WarningLog:
+    """Collects warnings, without duplicates.
+
+    Args:
+        on_warning: Called with each warning; ``None``: Python warnings are also shown as usual.
+
+    Attributes:
+        lines: The warnings, each prefixed with its level: ``caution: …``.
+    """
+
+    def __init__(self, on_warning: Callable[[str], None] | None) -> None:
+        self.lines: list[str] = []
+        self.on_warning = on_warning
+
+    def add(self, warning: Warning) -> None:
+        """Adds a warning, unless it was added before."""
+        line = labeled(warning)
+        if line not in self.lines:
+            self.lines.append(line)
+            if self.on_warning is not None:
+                self.on_warning(line)
+
+    def add_mesh(self, file: str, report: MeshReport) -> None:
+        """Adds the warnings of a mesh file, and the changes of a repair."""
+        for step in report.repairs:
+            if step.count:
+                self.add(RunWarning(f"mesh file {file!r}: {step.text}", WarningLevel.NOTE))
+        for text in report.warnings:
+            self.add(RunWarning(f"mesh file {file!r}: {text}"))
+
+    @contextmanager
+    def collect_warnings(self) -> Iterator[None]:
+        """Adds Python warnings that are given within the block; filters are unchanged."""
+        with warnings.catch_warnings():
+            show = warnings.showwarning
+
+            def add_warning(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+                is_collected = issubclass(category, UserWarning | RuntimeWarning)
+                if is_collected:
+                    self.add(message)
+                if not is_collected or self.on_warning is None:
+                    show(message, category, *where, **more)
+
+            warnings.showwarning = add_warning
+            yield
 
 
 class ProgressBar:
@@ -130,10 +189,107 @@ def read_progress(folder: Path) -> Iterator[tuple[int, dict[str, Any]]]:
         if number is None:
             continue
         try:
-            content = json.loads((progress / name).read(MOST))
+            content = json.loads((progress / name).read(MAX_PROGRESS_FILE))
             found = {"steps": int(content["steps"]), "time": float(content["time"])}
         except UnsafeFileError:
             raise
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             continue
         yield int(number[1]), found
+
+
+@dataclass(frozen=True)
+class RunStatus:
+    """Progress of a run; ``print`` shows it.
+
+    Attributes:
+        folder: Folder of the run.
+        summary: Content of ``run.json``.
+        state: ``"running"``, ``"finished"``, ``"interrupted"``, ``"failed"``, or ``"stopped"`` (killed).
+        shards: Number of shards.
+        finished_shards: Number of finished shards.
+        finished_envs: Number of finished environments.
+        env_steps: Number of committed environment steps.
+        running_steps: The same, including the progress of running shards.
+        frozen: Number of frozen environments as of the commits.
+        wall_time: Committed wall time of stepping, summed over all shards [s].
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+    state: str
+    shards: int
+    finished_shards: int
+    finished_envs: int
+    env_steps: int
+    running_steps: int
+    frozen: int
+    wall_time: float
+
+    @property
+    def total(self) -> int:
+        """Number of environment steps of the whole run."""
+        return int(self.summary["envs"]) * int(self.summary["steps"])
+
+    @property
+    def rate(self) -> float:
+        """Environment steps per second of stepping; 0 if nothing is committed yet."""
+        return self.env_steps / self.wall_time if self.wall_time > 0.0 else 0.0
+
+    def __str__(self) -> str:
+        s = self.summary
+        lines = [
+            f"{s['name']}: {self.state}, {self.running_steps / self.total:.1%} of {s['envs']} environments × "
+            f"{s['steps']} steps",
+            f"finished: {self.finished_envs} of {s['envs']} environments, {self.finished_shards} of {self.shards} "
+            f"shard{'s' if self.shards > 1 else ''}",
+            f"committed: {self.env_steps / self.total:.1%}",
+        ]
+        if self.frozen:
+            lines.append(f"frozen: {self.frozen} environments")
+        if self.rate:
+            left = (self.total - self.running_steps) / self.rate
+            more = f", {duration_text(left)} of stepping left" if left > 0.0 else ""
+            lines.append(f"{self.rate:.3g} environment steps per second of a shard{more}")
+        lines += [f"{shard} failed: {message}" for shard, message in s.get("failed", {}).items()]
+        if self.state in ("interrupted", "failed", "stopped"):
+            lines.append(f"to resume: warpcontact run --resume --out {self.folder}")
+        return escape_lines(lines)
+
+
+def run_status(path: str | PathLike[str]) -> RunStatus:
+    """Returns the progress of the run in a folder.
+
+    Raises:
+        ExperimentError: If the folder holds no run, or its schema is not supported by this version.
+        RunDataError: If a record in it is damaged.
+    """
+    folder = Path(path)
+    summary = files_of.read_summary(folder)
+    if summary is None:
+        raise ExperimentError(str(folder), ["holds no run"])
+    files_of.check_schema(folder, summary)
+    shards = Shards(summary["envs"], summary["shard"])
+    commits = {number: one for number, one in Ledger(folder).commits().items() if number < len(shards)}
+    steps = {number: commit.steps for number, commit in commits.items()}
+    running = dict(steps)
+    now = time.time()
+    for number, content in read_progress(folder):
+        if number < len(shards) and now - float(content["time"]) < PROGRESS_TIMEOUT:
+            running[number] = max(running.get(number, 0), int(content["steps"]))
+    finished = [shards[number] for number, commit in commits.items() if commit.finished]
+    state = summary["state"]
+    if state == files_of.UNFINISHED:
+        state = "running" if is_locked(folder) else "stopped"
+    return RunStatus(
+        folder=folder,
+        summary=summary,
+        state=state,
+        shards=len(shards),
+        finished_shards=len(finished),
+        finished_envs=sum(shard.envs for shard in finished),
+        env_steps=sum(shards[number].envs * count for number, count in steps.items()),
+        running_steps=sum(shards[number].envs * count for number, count in running.items()),
+        frozen=sum(commit.frozen for commit in commits.values()),
+        wall_time=sum(commit.wall_time for commit in commits.values()),
+    )

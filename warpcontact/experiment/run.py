@@ -22,14 +22,12 @@ from warpcontact.drawing.equal_items import merged_items
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import FileCache, SceneBuilder
 from warpcontact.experiment.errors import ExperimentError, Problems, abbreviated
-from warpcontact.experiment.expected import LABELS, ORDER, RunExtent
-from warpcontact.experiment.lock import is_locked
+from warpcontact.experiment.folder import is_locked
 from warpcontact.experiment.parser import ExperimentParts, load_toml, read_settings
-from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, RunDataError
+from warpcontact.experiment.records import COMMITS, DATA, GROUPS, LABELS, ORDER, Commit, RunDataError, RunExtent
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import Ledger, Shards
-from warpcontact.experiment.trust import Trust
-from warpcontact.experiment.user_code import UserFiles
+from warpcontact.experiment.user_code import Trust, UserFiles
 from warpcontact.files.atomic_files import open_for_writing
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import RunPath

@@ -21,7 +21,7 @@ from warpcontact.experiment.catalogue import (
     settings_model,
 )
 from warpcontact.experiment.force_elements import ForceElementSettings, ForceElementTable, force_element_model
-from warpcontact.experiment.integration import IntegratorSettings
+from warpcontact.experiment.observation import IntegratorSettings
 from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation_settings import (
     MOST_ENVS,

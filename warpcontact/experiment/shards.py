@@ -17,11 +17,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.experiment.design import Design
-from warpcontact.experiment.expected import ExpectedFiles, RunExtent
-from warpcontact.experiment.observation import monitor_arguments
+from warpcontact.experiment.observation import make_simulation
 from warpcontact.experiment.plan import blocks_at_once, recorded_parameters
 from warpcontact.experiment.progress import ProgressFile
-from warpcontact.experiment.records import COMMITS, created_files, digest
+from warpcontact.experiment.records import COMMITS, ExpectedFiles, RunExtent, created_files, digest
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
 from warpcontact.files.run_folder import RunPath
@@ -31,7 +30,6 @@ from warpcontact.scene.contact_coupling import OUTCOMES
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.run_warnings import RunWarnings
-from warpcontact.stepping.simulation import Simulation
 from warpcontact.stepping.step_counts import frame_count, recorded_steps
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.compilation import load_all
@@ -43,6 +41,8 @@ if TYPE_CHECKING:
 
     from warpcontact.stepping.recording import Recording
 
+#: Number of attempts per shard.
+ATTEMPTS = 3
 # Largest share of the stepping time for checkpoints: large states are saved less often.
 CHECKPOINT_SHARE = 0.05
 # Steps of ``run_sample_steps``: the first step after a frame and later ones may use different kernels.
@@ -424,15 +424,3 @@ class _ShardAttempt:
 def _values(data: "xr.Dataset") -> dict[str, NDArray[Any]]:
     """Returns the values of a data set by variable."""
     return {str(name): variable.values for name, variable in data.data_vars.items()}
-
-
-def make_simulation(model: Environments, settings: Settings, threads: int | None = None) -> Simulation:
-    """Returns the simulation of an experiment."""
-    return Simulation(
-        model,
-        dt=settings.dt,
-        integrator=settings.integrator.make(),
-        crossing_substeps=settings.crossing_substeps,
-        threads=threads,
-        **monitor_arguments(settings),
-    )

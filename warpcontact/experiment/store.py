@@ -26,15 +26,19 @@ from numpy.typing import NDArray
 
 from warpcontact.experiment.chunks import Chunk, ChunkEncoder, compressors
 from warpcontact.experiment.errors import ExperimentError
-from warpcontact.experiment.expected import LABELS, ORDER, PARTS, ExpectedFiles, RunExtent
 from warpcontact.experiment.records import (
     COMMITS,
     DATA,
+    LABELS,
     MADE,
+    ORDER,
+    PARTS,
     STAGING,
     Commit,
+    ExpectedFiles,
     Files,
     RunDataError,
+    RunExtent,
     commits_in,
     created_files,
     is_chunk,

@@ -1,11 +1,15 @@
 """Loads user-defined laws, other device models and outcomes from Python files, named as ``FILE.py:CLASS``.
 
 A file is executed like an imported module. It must be inside of the folder of the experiment, so that an experiment
-cannot execute files elsewhere. In a run folder it must be trusted, see ``trust.py``. Errors in a file are reported in
-one sentence with the line.
+cannot execute files elsewhere. Errors in a file are reported in one sentence with the line.
+
+A run folder can come from elsewhere, with law files that contain any code. Therefore the SHA-256 of each file that a
+run copies into its folder is recorded outside of it, as the name of an empty file in the state folder of the user.
+Only recorded files and files that the caller trusts are executed.
 """
 
 import contextlib
+import hashlib
 import importlib.util
 import io
 import itertools
@@ -14,13 +18,13 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from warpcontact.experiment import trust
 from warpcontact.experiment.errors import ExperimentError, abbreviated
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import is_run_folder, read_file
@@ -34,6 +38,10 @@ from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.kernels.shapes.base import Shape
 from warpcontact.scene.scene_element import SceneElement
 from warpcontact.validation.checks import check_length
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel
+
+#: ``True``: any file may be executed; otherwise the recorded files, and those with one of these SHA-256.
+Trust = bool | Collection[str]
 
 #: Base classes of user-defined classes.
 KINDS: tuple[type, ...] = (Law, Friction, Spring, Damper, Motion, Shape, Outcome, SceneElement)
@@ -44,6 +52,57 @@ _BASE_NAMES = {Shape: "wc.ParametricSurface", SceneElement: "SceneElement of war
 _MODULES: dict[tuple[Path, bytes], ModuleType] = {}
 # Each loading has a new module name, so that neither Python nor Warp finds definitions of an earlier one.
 _NUMBERS = itertools.count(1)
+
+
+def digest_of(content: bytes) -> str:
+    """Returns the SHA-256 of the content of a file."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def may_run(content: bytes, trust: Trust) -> bool:
+    """Whether a file of a run folder may be executed."""
+    if isinstance(trust, bool):
+        return trust or _is_recorded(digest_of(content))
+    return digest_of(content) in trust or _is_recorded(digest_of(content))
+
+
+def record_trusted(contents: Iterable[bytes]) -> None:
+    """Records that files with these contents may be executed; warns if they cannot be recorded."""
+    for content in contents:
+        if _is_recorded(digest_of(content)):
+            continue
+        try:
+            folder = trusted_folder()
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            (folder / digest_of(content)).touch(0o600)
+        except (OSError, RuntimeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            text = (
+                f"the law files of this run could not be recorded as trusted: {reason}; to resume or render it, use "
+                "--trust"
+            )
+            warnings.warn(RunWarning(text, WarningLevel.CAUTION), stacklevel=2)
+            return
+
+
+def trusted_folder() -> Path:
+    """Returns the folder with the recorded SHA-256.
+
+    Raises:
+        RuntimeError: If the user has no home folder.
+    """
+    if os.name == "nt":
+        given, default = os.environ.get("LOCALAPPDATA", ""), ("AppData", "Local")
+    else:
+        given, default = os.environ.get("XDG_STATE_HOME", ""), (".local", "state")
+    base = Path(given) if os.path.isabs(given) else Path.home().joinpath(*default)
+    return base / "warpcontact" / "trusted_laws"
+
+
+def _is_recorded(sha: str) -> bool:
+    with contextlib.suppress(OSError, RuntimeError):
+        return (trusted_folder() / sha).is_file()
+    return False
 
 
 class TrustError(ExperimentError):
@@ -74,7 +133,7 @@ class UserFiles:
         trusted: Files that may be executed if the folder is a run folder; see ``trust.py``.
     """
 
-    def __init__(self, folder: Path, on_stage: Callable[[str], None], trusted: trust.Trust = False) -> None:
+    def __init__(self, folder: Path, on_stage: Callable[[str], None], trusted: Trust = False) -> None:
         self.folder = folder
         self.on_stage = on_stage
         self.trusted = trusted
@@ -97,7 +156,7 @@ class UserFiles:
             if name in self._files:  # loaded before, with content that was trusted
                 continue
             with contextlib.suppress(ValueError):  # ``file`` raises it again, with the key
-                if not trust.may_run(self._read(name), self.trusted):
+                if not may_run(self._read(name), self.trusted):
                     untrusted.append(name)
         if untrusted:
             raise _untrusted(self.folder, untrusted)
@@ -169,10 +228,10 @@ class UserFiles:
                 return loaded
         content = self._read(name)
         if is_run_folder(self.folder):
-            if not trust.may_run(content, self.trusted):
+            if not may_run(content, self.trusted):
                 raise _untrusted(self.folder, [name])
             if self.trusted is True:
-                trust.record([content])
+                record_trusted([content])
         self.on_stage(f"loading {self.folder / name}")
         try:
             return UserFile(path, content, _module(path, content))

@@ -18,14 +18,14 @@ from warpcontact.experiment.design import (
     IntegerEntry,
     LinearEntry,
     ListedEntry,
+    SampleColumns,
     SampledEntry,
     SphereInertia,
     ValueConversion,
 )
 from warpcontact.experiment.distributions import is_discrete, make_marginal, value_shape
 from warpcontact.experiment.errors import Problems, key_path
-from warpcontact.experiment.rows_file import read_rows
-from warpcontact.experiment.sample_columns import SampleColumns
+from warpcontact.experiment.quantities import read_rows
 from warpcontact.experiment.variation_settings import (
     CorrelationSettings,
     SolidSphere,

@@ -68,3 +68,15 @@ def format_bytes(size: float) -> str:
     while abs(size) >= 1024.0 and unit < len(_UNITS) - 1:
         size, unit = size / 1024.0, unit + 1
     return f"{size:.0f} {_UNITS[unit]}" if unit == 0 or size >= 999.5 else f"{size:.3g} {_UNITS[unit]}"
+
+
+def duration_text(seconds: float) -> str:
+    """Returns a time as text, such as ``2 h 5 min``."""
+    if seconds < 60.0:
+        return f"{seconds:.2g} s"
+    minutes = round(seconds / 60.0)
+    hours, minutes = divmod(minutes, 60)
+    days, hours = divmod(hours, 24)
+    parts = [(days, "d"), (hours, "h"), (minutes, "min")]
+    texts = [f"{count} {unit}" for count, unit in parts if count]
+    return " ".join(texts[:2])

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact.experiment.folder import EXPERIMENT
-from warpcontact.experiment.status import RunStatus
-from warpcontact.experiment.time_estimate import duration_text
+from warpcontact.experiment.progress import RunStatus
 from warpcontact.files.run_folder import RunPath
-from warpcontact.validation.number_format import count, number, quantity, several
+from warpcontact.validation.number_format import count, duration_text, number, quantity, several
 from warpcontact.validation.warning_levels import WarningLevel, split_label
 from warpcontact.visualize.report.markup import Markup, clean, element, joined, name, short, table
 

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.analysis.results import frozen
-from warpcontact.experiment.bars import bin_edges, has_integer_bins
+from warpcontact.experiment.curves import bin_edges, has_integer_bins
 from warpcontact.model.health import Health
 from warpcontact.stepping.outcomes.watch import RESERVED
 from warpcontact.validation.checks import Array

@@ -17,11 +17,10 @@ import xarray as xr
 
 from warpcontact._version import __version__
 from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.progress import run_status
 from warpcontact.experiment.records import RunDataError
 from warpcontact.experiment.run import Run, open_run
-from warpcontact.experiment.status import run_status
-from warpcontact.experiment.trust import Trust
-from warpcontact.experiment.user_code import TrustError
+from warpcontact.experiment.user_code import Trust, TrustError
 from warpcontact.files.atomic_files import atomic_file, check_writable
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.scene.contact_coupling import CouplingReport

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpcontact.drawing.draw import drawing_of
 from warpcontact.drawing.drawing import Drawing
-from warpcontact.experiment.defaults import default_sensors
+from warpcontact.experiment.observation import default_sensors
 from warpcontact.model.environments import Environments
 from warpcontact.scene.status import FailureCause
 from warpcontact.stepping.recorder import Recorder

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from warpcontact.experiment.experiment import Experiment
+from warpcontact.experiment.observation import make_simulation
 from warpcontact.experiment.run import Run
-from warpcontact.experiment.shards import make_simulation
-from warpcontact.experiment.trust import Trust
+from warpcontact.experiment.user_code import Trust
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.stepping.recording import Recording
 from warpcontact.stepping.simulation import Simulation

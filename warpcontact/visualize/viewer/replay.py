@@ -15,10 +15,10 @@ from warpcontact.building.scene import Scene
 from warpcontact.drawing.draw import drawing_of
 from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.folder import SUMMARY
+from warpcontact.experiment.progress import run_status
 from warpcontact.experiment.records import COMMITS
 from warpcontact.experiment.run import Run, open_run
-from warpcontact.experiment.status import run_status
-from warpcontact.experiment.trust import Trust
+from warpcontact.experiment.user_code import Trust
 from warpcontact.files.run_folder import RunPath
 from warpcontact.scene.status import FailureCause
 from warpcontact.visualize.viewer.page import LocalServer, Picker, ViewerThread
