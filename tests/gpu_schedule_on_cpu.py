@@ -9,7 +9,7 @@ from warpcontact.kernels.types import QUEUE_COUNT
 from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.geometry import face_grid
 from warpcontact.model import build
-from warpcontact.stepping import simulation
+from warpcontact.stepping import step_preparation
 
 
 def build_all_face_grids(monkeypatch, finest=0.6):
@@ -33,13 +33,13 @@ def use_work_queues(monkeypatch):
         cache.queue_contacts = wp.zeros((QUEUE_COUNT, contacts), dtype=wp.int32, device="cpu")
         return ExecutionPlan(model, count, cached, ordered, uses_queues=True, nonsmooth=nonsmooth, **own)
 
-    monkeypatch.setattr(simulation, "ExecutionPlan", queued)
+    monkeypatch.setattr(step_preparation, "ExecutionPlan", queued)
     # A GPU evaluates frames without cached distances, because its face caches are smaller than those of a CPU.
     monkeypatch.setattr(
         "warpcontact.model.model.ExecutionPlan",
         lambda model, count, _cached, **options: ExecutionPlan(model, count, uses_cache=False, **options),
     )
-    monkeypatch.setattr(simulation, "slice_sizes", lambda shares, _: [envs for _, envs in shares])
+    monkeypatch.setattr(step_preparation, "slice_sizes", lambda shares, _: [envs for _, envs in shares])
 
 
 def sum_by_body(contact_set):

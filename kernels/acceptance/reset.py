@@ -24,7 +24,7 @@ def environments(real: type) -> wp.Kernel:
     )
     copy_body = frames.functions(real).copy_body
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset_environments(
         mask: wp.array(dtype=wp.bool),
         bodies: wp.int32,
@@ -77,7 +77,7 @@ def memory(formula: type[Formula], real: type) -> wp.Kernel:
     """Returns the kernel that clears the history of ``formula``. Launch with dim (env, contact of the group)."""
     Struct = memory_struct(formula, real)
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset_memory(mask: wp.array(dtype=wp.bool), memory: wp.array2d(dtype=Struct)):
         env, member = wp.tid()
         if mask[env]:

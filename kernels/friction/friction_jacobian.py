@@ -40,7 +40,7 @@ def kernel(formula: type[Formula], real: type) -> wp.Kernel:
             tangential_state.speed = speed
             return wp.length(model_force(p, tangential_state))
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def friction_jacobian(
         coefficients: wp.array2d(dtype=Coefficients),
         load: wp.array2d(dtype=real),  # [env, contact] N [N]

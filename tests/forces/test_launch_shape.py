@@ -111,7 +111,7 @@ def test_explanation_lists_kernels_and_reasons():
     with_loop = simulation(ball).explain().parts[0]
     assert with_loop.kernels == ("fused_steps",)
     staged = simulation(ball, launch_shape=STAGED).explain().parts[0].kernels
-    assert staged == ("add_travel", "closest_point", "contact_force", "semi_implicit_euler", "advance_history")
+    assert staged == ("add_travel", "closest_point", "contact_force", "semi_implicit_euler")
 
 
 def test_quick_compilation_selects_staged_kernels(monkeypatch):

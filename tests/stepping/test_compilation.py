@@ -21,7 +21,7 @@ from warpcontact.forces import contact_groups
 from warpcontact.forces.couplings import springs
 from warpcontact.forces.joints import joint_data
 from warpcontact.forces.shape_contact import contact_sets
-from warpcontact.stepping import simulation
+from warpcontact.stepping import staged_start
 from warpcontact.system.compilation import disable_fma, load_all
 
 CPU = SimpleNamespace(is_cuda=False)
@@ -131,12 +131,12 @@ def nonsmooth():
 def test_all_step_and_frame_kernels_are_precompiled(make, monkeypatch):
     compiled = set()
 
-    def load_them(kernels, device, threads):
+    def load_them(kernels, device, threads, **options):
         kernels = list(kernels)
         compiled.update(kernels)
-        load_all(kernels, device, threads)
+        load_all(kernels, device, threads, **options)
 
-    monkeypatch.setattr(simulation, "load_all", load_them)
+    monkeypatch.setattr(staged_start, "load_all", load_them)
     sim = make()
     sensor = next(name for name in sim.model.sensor_names if name.endswith("normal_force"))
     recording = sim.run(0.02, record=[sensor], every=5e-3)
@@ -220,4 +220,4 @@ def test_quick_and_release_kernels_give_bitwise_identical_results():
 def test_unknown_compile_mode_is_refused():
     result = run_with("fast", "import warpcontact.kernels.lowlevel.unique_kernel")
     assert result.returncode == 1
-    assert "WARPCONTACT_COMPILE must be one of release, quick, got 'fast'" in result.stderr
+    assert "WARPCONTACT_COMPILE must be one of background, release, quick, got 'fast'" in result.stderr

@@ -6,7 +6,7 @@ from test_fused_step_gpu import SINGLE_BODY_SCENES, assert_same, built, states
 
 import warpcontact as wc
 from warpcontact.forces.launch_shape import AUTO, FUSED_CONTACT
-from warpcontact.stepping import simulation
+from warpcontact.stepping import staged_start
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.slice_stepper import StepChunk
 
@@ -130,7 +130,7 @@ def test_integrator_subclass_is_not_fused():
 )
 def test_all_kernels_of_a_recorded_run_are_precompiled(sensors, monkeypatch):
     ahead = []
-    monkeypatch.setattr(simulation, "load_all", lambda kernels, *_: ahead.extend(kernels))
+    monkeypatch.setattr(staged_start, "load_all", lambda kernels, *_, **__: ahead.extend(kernels))
     model = built(SINGLE_BODY_SCENES["with history"], "cpu")
     sim = wc.Simulation(model, dt=1e-3)
     recorder = Recorder(model, sensors, 5, poses=False)

@@ -162,7 +162,7 @@ def test_steps_are_unchanged_by_recorded_frames(name, every, device):
 @pytest.fixture
 def release_graphs(monkeypatch):
     """Captures graphs of as many steps as release kernels do."""
-    monkeypatch.setattr(slice_stepper, "CPU_GRAPH_STEPS", (8, 2, 1))
+    monkeypatch.setattr(slice_stepper, "SHORT_GRAPH_STEPS", slice_stepper.CPU_GRAPH_STEPS)
 
 
 @pytest.mark.usefixtures("release_graphs")

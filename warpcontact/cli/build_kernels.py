@@ -68,6 +68,7 @@ def run(arguments: argparse.Namespace) -> None:
     folder = writable_cache()
     from warpcontact.system.cache_key import cache_key
     from warpcontact.system.devices import find_devices
+    from warpcontact.system.kernel_builds import release_builds_only
 
     device = arguments.device.split(",") if "," in arguments.device else arguments.device
     try:
@@ -78,7 +79,7 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.key:
         print(key)
         return
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), release_builds_only():
         warnings.simplefilter("ignore")  # A run reports them.
         if files:
             _build_experiments(files, arguments, device)

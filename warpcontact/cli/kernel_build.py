@@ -121,4 +121,6 @@ def load_kernels(kernels: Iterable[wp.Kernel], threads: int | None, progress: Pr
         with lock:
             progress(next(numbers), len(kernels))
 
-    load_all(kernels, wp.get_device("cpu"), available_threads() if threads is None else threads, count)
+    load_all(
+        kernels, wp.get_device("cpu"), available_threads() if threads is None else threads, count, release=True
+    )

@@ -31,8 +31,6 @@ from warpcontact.stepping import checkpoint
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.run_warnings import RunWarnings
 from warpcontact.stepping.step_counts import frame_count, recorded_steps
-from warpcontact.system.capture_lock import shared_capture_lock
-from warpcontact.system.compilation import load_all
 from warpcontact.system.process import StopRequest, catch_interrupts
 from warpcontact.validation.warning_levels import ContactWarning, RunWarning, WarningLevel
 
@@ -128,15 +126,18 @@ class ShardRunner:
 
     def kernels(self) -> list[wp.Kernel]:
         """Returns the kernels of steps, frames and the initial check that run on the CPU, each once."""
+        return self.simulation.step_kernels(self._evaluations())
+
+    def _evaluations(self) -> list[frozenset[str]]:
+        """Returns the needs of the frames and of the initial check."""
         evaluations = [frozenset(self.recorder().needs)]
         if self.simulation.evaluates_start:
             evaluations.append(CONTACT_NEEDS)
-        return self.simulation.step_kernels(evaluations)
+        return evaluations
 
     def warm_up(self) -> None:
-        """Compiles kernels that are not in the cache, so that the wall time of the run is that of stepping."""
-        with shared_capture_lock():
-            load_all(self.kernels(), wp.get_device("cpu"), self.simulation.threads)
+        """Loads kernels and takes a step, so that the wall time of the run is that of stepping."""
+        self.simulation.load_kernels(self._evaluations())
         self.simulation.step()
         self.simulation.reset()
 

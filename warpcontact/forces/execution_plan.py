@@ -43,7 +43,7 @@ from warpcontact.kernels.narrowphase.closest_point import (
     DETECT_QUERY,
 )
 from warpcontact.kernels.types import LaunchRange
-from warpcontact.system.compilation import disable_fma
+from warpcontact.system.compilation import build_to_launch
 from warpcontact.system.launches import in_order
 
 if TYPE_CHECKING:
@@ -143,8 +143,28 @@ class ExecutionPlan:
             work.slice = self.slice
         block_dim = block_dim or (SMALL_BLOCK if work.threads <= launch_shape.SMALL_LAUNCH else LARGE_BLOCK)
         values = in_order(kernel, {"launch": work, **inputs})
-        disable_fma(kernel, device)
+        kernel = build_to_launch(kernel, device)
         return [wp.launch(kernel, work.threads, values, device=device, record_cmd=True, block_dim=block_dim)]
+
+
+class KernelLister(ExecutionPlan):
+    """Execution plan that returns kernels instead of launches."""
+
+    def prepare(
+        self,
+        kernel: wp.Kernel,
+        items: int,
+        /,
+        *,
+        threads: int | None = None,
+        block_dim: int | None = None,
+        **inputs: Any,
+    ) -> list[Any]:
+        """Returns the kernel of the launch as a list; an empty list if there are no items."""
+        if items == 0:
+            return []
+        in_order(kernel, {"launch": None, **inputs})
+        return [kernel]
 
 
 @dataclass(frozen=True)

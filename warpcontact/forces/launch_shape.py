@@ -105,8 +105,6 @@ def _integrator_accepts(plan: "ExecutionPlan") -> bool:
     model = plan.model
     # With many environments on a GPU, two launches with fewer registers each are faster.
     few_clusters = model.device.is_cpu or (model.clusters.count == 1 and _is_small(plan))
-    if plan.fastest_shape == STAGED:
-        return False
     conditions = (_fusion_is_off, _other_integrator, _outputs_are_read, _several_bodies, _joints, _latched)
     return (
         few_clusters
@@ -245,5 +243,5 @@ SHAPES: dict[str, ShapeRow] = {
         "contact detection and force in one kernel per contact model, then the other stages",
         (*_COMPLIANT, _contacts_are_read, _no_contacts, _fused_contact_kernel),
     ),
-    STAGED: ShapeRow("one kernel per stage", ()),
+    STAGED: ShapeRow("separate kernels for detection, contact force and integration", ()),
 }

@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.contact_groups import ContactGroup
-from warpcontact.forces.execution_plan import ExecutionPlan
+from warpcontact.forces.execution_plan import ExecutionPlan, KernelLister
 from warpcontact.model.environments import Environments
 from warpcontact.model.plan import DeviceModelPlan
 from warpcontact.model.scene_traits import SceneTraits
@@ -22,6 +22,8 @@ from warpcontact.storage.allocation_plan import broadcast
 from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.storage.parameters import DeviceField, Parameter, parameter_memory
 from warpcontact.system.capture_lock import shared_capture_lock
+from warpcontact.system.compilation import load_ahead
+from warpcontact.system.kernel_builds import is_compiled, starts_quick
 from warpcontact.system.launches import launch_kernel
 
 if TYPE_CHECKING:
@@ -124,6 +126,7 @@ class DeviceModel(Environments, SceneTraits):
         self._device_fields = plan.parameters.device_fields  # kept alive: broadcast arrays do not own their memory
         self.upload(self._device_fields, (device_field.content() for device_field in self._device_fields))
         self._state = State(**{name: getattr(self.arrays.state, name) for name in self.types.State.vars})
+        self._load_ahead()
         self.reset()
 
     @property
@@ -268,6 +271,20 @@ class DeviceModel(Environments, SceneTraits):
             self.nonsmooth.reset_state(chosen)
         if self.monitor is not None:
             self.monitor.reset_state(chosen)
+
+    def _load_ahead(self) -> None:
+        """Begins to compile contact detection in another thread, if the kernel cache is cold.
+
+        Meanwhile this thread compiles the kernel of the first reset. Each thread also compiles a header.
+        """
+        from warpcontact.kernels.acceptance import reset
+
+        if starts_quick(self.device) and not is_compiled(reset.environments(self.types.real)):
+            plan = KernelLister(self, self.envs, uses_cache=True, ordered_sum=True)
+            for element in self.force_elements:
+                kernels = element.detection_launches(plan, self.arrays.state, self.active_status)
+                # The last one takes longest.
+                load_ahead(reversed(kernels), self.device)
 
     @shared_capture_lock()
     def evaluation_launches(self, needs: Set[str], own: wp.array | None = None) -> list[wp.Launch]:

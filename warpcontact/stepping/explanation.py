@@ -16,6 +16,8 @@ class PartExplanation:
         threads: Number of CPU threads that step the slices. 0 on a GPU.
         shape: The launch shape, with the reasons for which faster ones were rejected.
         kernels: Names of the kernels of one step, in order of their launches.
+        present_shape: Launch shape of the steps until the kernels of ``shape`` are compiled in the background.
+        present_kernels: Kernels of one step of it.
     """
 
     device: str
@@ -24,6 +26,8 @@ class PartExplanation:
     threads: int
     shape: LaunchShape
     kernels: tuple[str, ...]
+    present_shape: LaunchShape
+    present_kernels: tuple[str, ...]
 
     def __str__(self) -> str:
         slices = f"{self.slices} slice{'s' * (self.slices > 1)}"
@@ -33,6 +37,8 @@ class PartExplanation:
             f"  launch shape: {self.shape.name} ({self.shape.summary})",
             f"  kernels of a step: {', '.join(self.kernels)}",
         ]
+        if self.present_kernels != self.kernels:
+            lines.append(f"  until these are compiled: {', '.join(self.present_kernels)}")
         lines += [f"  not {name}: {reason}" for name, reason in self.shape.rejected.items()]
         return "\n".join(lines)
 
@@ -43,9 +49,17 @@ class StepExplanation:
 
     Attributes:
         parts: One explanation per part of the model.
+        compiled: Number of kernels that were compiled in the background.
+        requested: Number of kernels to compile in the background. 0: all kernels have release builds, or steps were
+            not prepared yet.
     """
 
     parts: tuple[PartExplanation, ...]
+    compiled: int = 0
+    requested: int = 0
 
     def __str__(self) -> str:
-        return "\n".join(map(str, self.parts))
+        lines = list(map(str, self.parts))
+        if self.requested:
+            lines.append(f"compiled in the background: {self.compiled} of {self.requested} kernels")
+        return "\n".join(lines)

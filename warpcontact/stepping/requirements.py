@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import warp as wp
 
-from warpcontact.forces.execution_plan import ExecutionPlan
+from warpcontact.forces.execution_plan import KernelLister
 from warpcontact.forces.launch_shape import AUTO
 from warpcontact.kernels.outcomes import recording
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, evaluation_plan, evaluation_stages
@@ -17,7 +17,6 @@ from warpcontact.stepping.outcomes.watch import ContactEvents, MonitorSettings, 
 from warpcontact.stepping.slice_stepper import MAX_FRAME_GRAPHS, StepBuffers, StepChunk, Stepper
 from warpcontact.storage.memory_estimate import MemoryEstimate, MemoryItem, total
 from warpcontact.system.capture_lock import shared_capture_lock
-from warpcontact.system.launches import in_order
 from warpcontact.system.resources import HOST, available_threads
 
 if TYPE_CHECKING:
@@ -40,26 +39,6 @@ GRAPH_BYTES = 50_000
 CAPTURED_PER_ARGUMENT_BYTE = 2.05
 # Size of an array argument of a kernel: pointers, shape and strides.
 ARRAY_BYTES = 56
-
-
-class KernelLister(ExecutionPlan):
-    """Execution plan that returns kernels instead of launches."""
-
-    def prepare(
-        self,
-        kernel: wp.Kernel,
-        items: int,
-        /,
-        *,
-        threads: int | None = None,
-        block_dim: int | None = None,
-        **inputs: Any,
-    ) -> list[Any]:
-        """Returns the kernel of the launch as a list; an empty list if there are no items."""
-        if items == 0:
-            return []
-        in_order(kernel, {"launch": None, **inputs})
-        return [kernel]
 
 
 def slice_sizes(shares: "Sequence[tuple[DeviceModel | DeviceModelPlan, int]]", threads: int) -> list[int]:

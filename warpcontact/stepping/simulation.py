@@ -11,7 +11,6 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warpcontact.forces.advice import advice_needs_evaluation, scene_advice
-from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.forces.launch_shape import AUTO, SHAPES
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import explain_renamed
@@ -23,21 +22,20 @@ from warpcontact.model.scene_traits import CONTACT_NEEDS
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.chunk_sizer import ChunkSizer, progress_bar
-from warpcontact.stepping.explanation import PartExplanation, StepExplanation
+from warpcontact.stepping.explanation import StepExplanation
 from warpcontact.stepping.frame_recording import record_first_frame, record_frames
 from warpcontact.stepping.integrators import Integrator, SemiImplicitEuler
 from warpcontact.stepping.outcomes.watch import ContactEvents, MonitorSettings, StopCondition
-from warpcontact.stepping.requirements import KernelLister, cut_slices, slice_sizes, step_kernels, stepping_memory
+from warpcontact.stepping.requirements import stepping_memory
 from warpcontact.stepping.run_warnings import RunWarnings
-from warpcontact.stepping.slice_stepper import FrameSchedule, StepBuffers, StepLengths, Stepper
+from warpcontact.stepping.slice_stepper import FrameSchedule, StepBuffers, StepLengths
 from warpcontact.stepping.step_counts import frame_count, recorded_steps
-from warpcontact.stepping.worker_pool import DeviceShare, WorkerPool
+from warpcontact.stepping.step_preparation import StepOptions, StepPreparation
+from warpcontact.stepping.worker_pool import WorkerPool
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.memory_estimate import MemoryEstimate, MemoryItem, env_count_text, require
 from warpcontact.storage.model_arrays import Uncopied
 from warpcontact.storage.parameters import rounded
-from warpcontact.system.capture_lock import shared_capture_lock
-from warpcontact.system.compilation import load_all
 from warpcontact.system.resources import HOST, available_threads
 from warpcontact.validation import checks
 from warpcontact.validation.warning_levels import ContactWarning, WarningLevel, caller_stacklevel
@@ -149,6 +147,15 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
                 buffers.monitor.initialize(part)
         self._attach_to_model()
         self._prepared: tuple[tuple[int, ...], WorkerPool | None] = ((), None)
+        options = StepOptions(
+            self.crossing_substeps,
+            self.threads,
+            self.deterministic,
+            self.distance_cache,
+            self.capture_graphs,
+            self.launch_shape,
+        )
+        self._preparation = StepPreparation(model, integrator, self._buffers, options)
         if self.launch_shape != AUTO:
             self._require_shape(self.launch_shape)
 
@@ -158,20 +165,21 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             if part.shape.name != name:
                 raise ValueError(f'launch_shape must not be "{name}": {part.shape.rejected[name]}')
 
-    @shared_capture_lock()
     def explain(self) -> StepExplanation:
         """Returns how steps are launched: launch shape, kernels, and why faster launch shapes are not possible.
 
         Print the result. It does not depend on the state of the model, and nothing is compiled.
         """
-        parts = []
-        for share, buffers in zip(self._cut_shares(), self._buffers, strict=True):
-            part, slices, threads = share
-            stepper = self._stepper(part, buffers, KernelLister)
-            kernels = tuple(kernel.key.split("__")[-1] for kernel in stepper.step_launches)
-            on_cpu = threads if part.device.is_cpu else 0
-            parts.append(PartExplanation(str(part.device), part.envs, len(slices), on_cpu, stepper.shape, kernels))
-        return StepExplanation(tuple(parts))
+        return self._preparation.explain()
+
+    def compile(self) -> None:
+        """Compiles all kernels of steps now, for measurements. By default they are compiled in the background.
+
+        The next step uses the fastest possible launch shape. Kernels of recorded frames are not compiled.
+        """
+        if self._preparation.load_release_builds():
+            self._prepared = ((), None)
+            self.worker_pool()
 
     @property
     def times(self) -> StepLengths:
@@ -362,7 +370,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
     def _advance(self, count: int, frames: FrameSchedule | None) -> None:
         model = self.model
         self._attach_to_model()
-        self._compile(frozenset() if frames is None else frames.needs)
+        self._load_kernels(frozenset() if frames is None else frames.needs)
         if model.at_start and not self.warned_at_start:
             self.warned_at_start = True
             for sentence in self.check():
@@ -395,74 +403,27 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         revisions = tuple(part.revision for part in self.model.parts)
         prepared, worker_pool = self._prepared
         if worker_pool is None or prepared != revisions:
-            worker_pool = WorkerPool(self._device_shares())
+            worker_pool = WorkerPool(self._preparation.device_shares(), self._preparation.renewed_shares)
             self._prepared = (revisions, worker_pool)
         return worker_pool
 
-    def _compile(self, needs: Set[str]) -> None:
-        """Compiles the CPU kernels of steps and of frames with ``needs``, unless steps were prepared before."""
-        if self._prepared[1] is not None or not any(device.is_cpu for device in self.model.devices):
-            return
-        with shared_capture_lock():
-            first = (
-                [CONTACT_NEEDS]
-                if self.model.at_start and not self.warned_at_start and self.evaluates_start
-                else []
-            )
-            load_all(self.step_kernels([*first, needs]), wp.get_device("cpu"), self.threads)
+    def _load_kernels(self, needs: frozenset[str]) -> None:
+        """Loads the CPU kernels of steps, of frames with ``needs``, and of the warnings of the first step."""
+        warns = self.model.at_start and not self.warned_at_start and self.evaluates_start
+        self.load_kernels([*([CONTACT_NEEDS] if warns else []), needs])
 
-    @shared_capture_lock()
+    def load_kernels(self, recorded_needs: Sequence[Set[str]]) -> None:
+        """Loads the CPU kernels of steps and of frames; ``recorded_needs``: needs of each kind of frame."""
+        self._preparation.load_kernels(recorded_needs)
+
     def step_kernels(self, recorded_needs: Sequence[Set[str]]) -> list[wp.Kernel]:
         """Returns the CPU kernels of steps and frames, each once; ``recorded_needs``: needs of each kind of frame."""
-        own = zip(self.model.parts, self._buffers, strict=True)
-        on_cpu = [
-            (part, self._stepper(part, buffers, KernelLister)) for part, buffers in own if part.device.is_cpu
-        ]
-        return list(dict.fromkeys(kernel for pair in on_cpu for kernel in step_kernels(*pair, recorded_needs)))
+        return self._preparation.step_kernels(recorded_needs)
 
     @property
     def evaluates_start(self) -> bool:
         """Whether ``check`` evaluates contacts at the current state."""
         return advice_needs_evaluation(self.model, self._buffers[0].nonsmooth)
-
-    def _cut_shares(self) -> list[tuple[DeviceModel, list[slice], int]]:
-        """Returns each part of the model with its slices and the number of threads that step them."""
-        parts = [(part, part.envs) for part in self.model.parts]
-        sizes = slice_sizes(parts, self.threads)
-        slices = [cut_slices(envs, size) for (_, envs), size in zip(parts, sizes, strict=True)]
-        on_cpu = sum(len(own) for (part, _), own in zip(parts, slices, strict=True) if part.device.is_cpu)
-        threads = min(self.threads, on_cpu)
-        return [
-            (part, own, threads if part.device.is_cpu else 1) for (part, _), own in zip(parts, slices, strict=True)
-        ]
-
-    @shared_capture_lock()
-    def _device_shares(self) -> list[DeviceShare]:
-        return [
-            DeviceShare(slices, [self._stepper(part, buffers) for _ in range(threads)])
-            for (part, slices, threads), buffers in zip(self._cut_shares(), self._buffers, strict=True)
-        ]
-
-    def _stepper(
-        self, model: DeviceModel, buffers: StepBuffers, kind: type[ExecutionPlan] | None = None
-    ) -> Stepper:
-        # On a CPU one thread steps a slice, so the order of summation is always the same.
-        uses_gpu = model.device.is_cuda
-        ordered = self.deterministic or not uses_gpu
-        own = None if uses_gpu else wp.array([0, model.envs, 0], dtype=wp.int32, device=model.device)
-        plan = (kind or ExecutionPlan)(
-            model,
-            model.envs,
-            self.distance_cache,
-            ordered,
-            uses_gpu,
-            buffers.nonsmooth,
-            fastest_shape=self.launch_shape,
-            slice=own,
-        )
-        return Stepper(
-            plan, self.integrator, buffers, substeps=self.crossing_substeps, captured=self.capture_graphs
-        )
 
     def run(
         self,
@@ -550,7 +511,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         """
         follows_frame, uses_gpu = False, any(device.is_cuda for device in self.model.devices)
         chunk_sizer = ChunkSizer(MIN_CHUNK, MAX_CHUNK_GPU if uses_gpu else None)
-        self._compile(frozenset(recorder.needs))
+        self._load_kernels(frozenset(recorder.needs))
         if done == taken * stride:
             record_first_frame(self, recorder, start + done * self.dt)
             taken, follows_frame = taken + 1, exclusive

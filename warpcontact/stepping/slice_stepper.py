@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 # Steps per graph, largest first; any number of steps is composed of these. A graph of an odd number ends in the other
 # buffer and copies it back. On a CPU Warp takes 0.25 ms to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
-CPU_GRAPH_STEPS = (2, 1) if QUICK else (8, 2, 1)
+CPU_GRAPH_STEPS, SHORT_GRAPH_STEPS = (8, 2, 1), (2, 1)
 # Steps between two frames and the evaluation are captured as one graph up to this many times the largest graph.
 MAX_FRAME_GRAPHS = 2
 
@@ -219,6 +219,7 @@ class Stepper:
         buffers: Step buffers.
         substeps: Number of substeps of a step with a crossing.
         captured: Whether steps are captured as graphs and replayed.
+        short_graphs: Whether graphs on a CPU have few steps, which takes less time to capture.
 
     Attributes:
         slice: The selected environments; at first all.
@@ -230,7 +231,14 @@ class Stepper:
     """
 
     def __init__(
-        self, plan: ExecutionPlan, integrator: Integrator, buffers: StepBuffers, *, substeps: int, captured: bool
+        self,
+        plan: ExecutionPlan,
+        integrator: Integrator,
+        buffers: StepBuffers,
+        *,
+        substeps: int,
+        captured: bool,
+        short_graphs: bool = False,
     ) -> None:
         model = plan.model
         self._monitor = buffers.monitor
@@ -258,10 +266,13 @@ class Stepper:
             self._steps = [self._prepare(*chunk) for chunk in ((own, other), (other, own))]
         # A step from the model's state that reuses the contacts of an evaluation; prepared on demand.
         self._step_after_evaluation: list[wp.Launch] = []
-        self._pause, self._resume = (mask_substeps_stage(plan, unmask=unmask) for unmask in (False, True))
+        self._pause, self._resume = (
+            mask_substeps_stage(plan, unmask=unmask) if has_substeps else [] for unmask in (False, True)
+        )
         # A decision on the host cannot be captured in a graph.
         self.captured = captured and not has_substeps
-        self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
+        cpu_steps = SHORT_GRAPH_STEPS if QUICK or short_graphs else CPU_GRAPH_STEPS
+        self.graph_steps = cpu_steps if model.device.is_cpu else GRAPH_STEPS
         # Graphs by chunk and needs of its evaluation. Never evicted: a simulation has few different sets of needs.
         self._graphs: dict[tuple[StepChunk, frozenset[str]], wp.Graph] = {}
         # Graphs of a sequence of chunks, each with its number of steps in a multi-step launch; by chunks, needs and

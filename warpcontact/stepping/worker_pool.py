@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
@@ -80,9 +80,28 @@ class WorkerPool:
 
     Args:
         shares: Environments of each part of the model. Those on a CPU have one stepper per thread.
+        renewed_shares: Called between chunks; returns the same slices with other steppers, or ``None``.
     """
 
-    def __init__(self, shares: Sequence[DeviceShare]) -> None:
+    def __init__(
+        self,
+        shares: Sequence[DeviceShare],
+        renewed_shares: Callable[[], Sequence[DeviceShare] | None] = lambda: None,
+    ) -> None:
+        self._renewed_shares = renewed_shares
+        self._pool: ThreadPoolExecutor | None = None
+        self._set_shares(shares)
+        slices = sum(len(share.slices) for share in shares if share.device.is_cpu)
+        threads = self._cpu_threads
+        # With few slices per worker, split the chunk; the last work item is short, so workers finish together.
+        self._last_item_fraction = _LAST_ITEM_FRACTION * slices / threads if 1 < threads < slices else 1.0
+        self._threads = sum(threads for _, threads in self._thread_groups)
+        self._envs = sum(own.stop - own.start for share in shares for own in share.slices)
+        max_steps = max(_MIN_STEPS, _MAX_ENV_STEPS * threads // self._envs) if threads else None
+        self._chunk_sizer = ChunkSizer(_MIN_STEPS_GPU) if self._gpu_slices else ChunkSizer(_MIN_STEPS, max_steps)
+
+    def _set_shares(self, shares: Sequence[DeviceShare]) -> None:
+        """Sets the slices and steppers of each thread."""
         self._steppers = [stepper for share in shares for stepper in share.steppers]
         # Graph launches on GPUs are asynchronous, so one thread serves all GPUs. Without graphs, Python launches
         # kernels and waits for them; each GPU then has its own thread.
@@ -97,17 +116,9 @@ class WorkerPool:
         # In Warp's debug mode, kernels share a pointer to the tile storage and check it when they end.
         threads = 1 if wp.config.mode == "debug" else max((len(share.steppers) for share in on_cpu), default=0)
         # Slices that are stepped by threads, and the number of threads of each group.
-        slices = _device_slices(on_cpu)
-        self._thread_groups = [(_device_slices(own), 1) for own in host_launched.values()] + [(slices, threads)]
-        # With few slices per worker, split the chunk; the last work item is short, so workers finish together.
-        self._last_item_fraction = (
-            _LAST_ITEM_FRACTION * len(slices) / threads if 1 < threads < len(slices) else 1.0
-        )
-        self._threads = sum(threads for _, threads in self._thread_groups)
-        self._pool: ThreadPoolExecutor | None = None
-        self._envs = sum(own.stop - own.start for share in shares for own in share.slices)
-        max_steps = max(_MIN_STEPS, _MAX_ENV_STEPS * threads // self._envs) if threads else None
-        self._chunk_sizer = ChunkSizer(_MIN_STEPS_GPU) if self._gpu_slices else ChunkSizer(_MIN_STEPS, max_steps)
+        self._cpu_threads = threads
+        self._thread_groups = [(_device_slices(own), 1) for own in host_launched.values()]
+        self._thread_groups.append((_device_slices(on_cpu), threads))
 
     def step(self, count: int, frames: FrameSchedule | None = None) -> Iterator[int]:
         """Takes ``count`` steps in all slices, chunk by chunk; yields the number of steps taken so far.
@@ -118,6 +129,8 @@ class WorkerPool:
         done = 0
         after_evaluation = frames is not None and frames.follows_frame
         while done < count:
+            if (shares := self._renewed_shares()) is not None:
+                self._set_shares(shares)
             steps = self._chunk_sizer.next(count - done)
             if frames is not None:
                 steps = frames.align(done, steps, count)

@@ -1,16 +1,24 @@
 """Compiles kernels: concurrently on a CPU, and on a GPU without FMA (fused multiply-add) contraction."""
 
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
+from functools import partial
+from weakref import WeakKeyDictionary
 
 import warp as wp
 
 from warpcontact.system.initialization import explaining, require_room
+from warpcontact.system.kernel_builds import current_build
 
 # Largest number of compiler threads: each also compiles a header, and few kernels take long.
 MAX_COMPILERS = 4
+
+# A kernel is compiled by one thread at a time.
+_locks: WeakKeyDictionary[wp.Kernel, threading.Lock] = WeakKeyDictionary()
+_locks_lock = threading.Lock()
 
 
 def disable_fma(kernel: wp.Kernel, device: wp.Device) -> None:
@@ -25,16 +33,21 @@ def disable_fma(kernel: wp.Kernel, device: wp.Device) -> None:
         wp.set_module_options({"fuse_fp": fma_flag}, kernel.module)
 
 
+def build_to_launch(kernel: wp.Kernel, device: wp.Device) -> wp.Kernel:
+    """Returns the build of ``kernel`` to launch on ``device``, with the options of the device."""
+    disable_fma(kernel, device)
+    return current_build(kernel, device)
+
+
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compiles ``kernel`` if it is not in the cache, so that errors in user-defined code are raised here."""
-    disable_fma(kernel, device)
-    compile_as_launched(kernel, device)
+    compile_as_launched(build_to_launch(kernel, device), device)
 
 
 def compile_as_launched(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compiles ``kernel`` if it is not in the cache, for the block size of launches: one thread on a CPU."""
     block_dim = None if device.is_cuda else 1
-    with explaining():
+    with _lock_of(kernel), explaining():
         require_room(lambda: kernel.module.get_module_identifier(block_dim))
         kernel.module.load(device, block_dim=block_dim)
 
@@ -44,6 +57,8 @@ def load_all(
     device: wp.Device,
     threads: int,
     on_loaded: Callable[[wp.Kernel], None] | None = None,
+    *,
+    release: bool = False,
 ) -> None:
     """Compiles kernels for a CPU concurrently, except those in the cache.
 
@@ -52,42 +67,102 @@ def load_all(
         device: The CPU. Kernels for a GPU cannot be compiled in advance, because the block size depends on the launch.
         threads: Maximum number of threads.
         on_loaded: Called by the thread that loaded a kernel, with the kernel.
+        release: Whether to load release builds, instead of quick builds while release builds are missing.
     """
-    remaining = deque(dict.fromkeys(kernels))
-    others = min(len(remaining), MAX_COMPILERS, threads) - 1
+    load_build = compile_as_launched if release else load
+
+    def is_in_progress(kernel: wp.Kernel) -> bool:
+        return _lock_of(kernel if release else build_to_launch(kernel, device)).locked()
+
+    # Kernels that another thread compiles come last, so that no thread waits for one while others are queued.
+    ordered = sorted(dict.fromkeys(kernels), key=is_in_progress)
 
     def load_one(kernel: wp.Kernel) -> None:
-        load(kernel, device)
+        load_build(kernel, device)
         if on_loaded is not None:
             on_loaded(kernel)
 
-    def load_next() -> None:
-        try:
-            while remaining:
-                try:
-                    kernel = remaining.popleft()
-                except IndexError:  # another thread took the last one
-                    return
-                load_one(kernel)
-        except BaseException:
-            # Clear the queue, so that other threads stop after their current kernel.
-            remaining.clear()
-            raise
+    _threads.run([partial(load_one, kernel) for kernel in ordered], threads)
 
-    if others < 1:
-        load_next()
-        return
-    first = remaining.popleft()
-    with ThreadPoolExecutor(others) as pool:
+
+def load_ahead(kernels: Iterable[wp.Kernel], device: wp.Device) -> None:
+    """Begins to compile kernels for a CPU in another thread. Errors are raised when the kernels are loaded again."""
+
+    def load_one(kernel: wp.Kernel) -> None:
+        with suppress(Exception):
+            load(kernel, device)
+
+    _threads.start([partial(load_one, kernel) for kernel in kernels])
+
+
+def _lock_of(kernel: wp.Kernel) -> threading.Lock:
+    """Returns the lock of the thread that compiles ``kernel``."""
+    with _locks_lock:
+        return _locks.setdefault(kernel, threading.Lock())
+
+
+class _CompilerThreads:
+    """Threads that run tasks of one queue. Each keeps its precompiled header until the process ends."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._queue: deque[tuple[Callable[[], None], Future[None]]] = deque()
+        self._running = 0
+        self._executor: ThreadPoolExecutor | None = None
+
+    def start(self, tasks: Iterable[Callable[[], None]], threads: int = 2) -> list[Future[None]]:
+        """Queues tasks, and starts so many threads that with the calling one there are ``threads``."""
+        queued: list[tuple[Callable[[], None], Future[None]]] = [(task, Future()) for task in tasks]
+        with self._lock, suppress(RuntimeError):  # no thread can be started while the process exits
+            self._queue.extend(queued)
+            for _ in range(min(len(self._queue), MAX_COMPILERS, threads) - 1 - self._running):
+                if self._executor is None:
+                    self._executor = ThreadPoolExecutor(
+                        MAX_COMPILERS - 1, thread_name_prefix="warpcontact compiler"
+                    )
+                self._executor.submit(self._work)
+                self._running += 1
+        return [future for _, future in queued]
+
+    def run(self, tasks: Iterable[Callable[[], None]], threads: int) -> None:
+        """Runs tasks in this thread and others. After an error, no further task is begun, and the error is raised."""
+        futures = self.start(tasks, threads)
         try:
-            tasks = []
-            with suppress(RuntimeError):  # no threads can be started while the process exits
-                tasks = [pool.submit(load_next) for _ in range(others)]
-            # A thread compiles a header before its kernels. The thread that built the model usually has it already.
-            load_one(first)
-            load_next()
-        except BaseException:
-            remaining.clear()
-            raise
-        for task in tasks:
-            task.result()
+            while not all(future.done() for future in futures):
+                if not self._run_next():
+                    wait(futures, return_when=FIRST_EXCEPTION)
+                if any(future.done() and not future.cancelled() and future.exception() for future in futures):
+                    break
+        finally:
+            for future in futures:
+                future.cancel()
+            wait(futures)
+        for future in futures:
+            if not future.cancelled():
+                future.result()
+
+    def _work(self) -> None:
+        while True:
+            self._run_next()
+            with self._lock:
+                if not self._queue:
+                    self._running -= 1
+                    return
+
+    def _run_next(self) -> bool:
+        """Runs a task of the queue; returns whether there was one."""
+        try:
+            task, future = self._queue.popleft()
+        except IndexError:
+            return False
+        if future.set_running_or_notify_cancel():
+            try:
+                task()
+            except BaseException as error:
+                future.set_exception(error)
+            else:
+                future.set_result(None)
+        return True
+
+
+_threads = _CompilerThreads()

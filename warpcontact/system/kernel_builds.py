@@ -1,0 +1,126 @@
+"""Builds of kernels on a CPU: which one to launch, and the files of a build in Warp's kernel cache.
+
+Warp compiles a kernel in the process that launches it. So that another process can compile a build, this module uses
+functions of Warp that are not part of its interface. If Warp does not have them, kernels are compiled before launches.
+"""
+
+import os
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from weakref import WeakSet
+
+import warp as wp
+
+from warpcontact.kernels.lowlevel import unique_kernel
+from warpcontact.system.initialization import require_room
+
+# Threads per block of launches on a CPU.
+_BLOCK_DIM = 1
+# Optimization level of Warp for a CPU if the options of a module have none.
+_DEFAULT_LEVEL = 2
+_NEEDED = ("_get_compile_output_name", "_get_meta_name", "_run_codegen", "_write_meta")
+_HAS_NEEDED = all(hasattr(wp.Module, name) for name in _NEEDED)
+# Kernels whose release build was found in the kernel cache.
+_found: WeakSet[wp.Kernel] = WeakSet()
+# Number of active blocks of ``release_builds_only``.
+_release_only: list[None] = []
+
+
+@dataclass(frozen=True)
+class CompileJob:
+    """A build to be compiled by another process.
+
+    Attributes:
+        name: Name of the kernel.
+        folder: Folder in the kernel cache for the build. It does not exist, or has builds for other machines.
+        build_folder: Folder with the source. It becomes ``folder``.
+        source: File name of the source.
+        binary: File name of the compiled code.
+        options: Options of Warp's function ``build_cpu``.
+    """
+
+    name: str
+    folder: str
+    build_folder: str
+    source: str
+    binary: str
+    options: dict[str, Any]
+
+    def discard(self) -> None:
+        """Removes the build folder."""
+        shutil.rmtree(self.build_folder, ignore_errors=True)
+
+
+def starts_quick(device: wp.Device) -> bool:
+    """Returns whether quick builds are launched on ``device`` until the release builds are compiled."""
+    return unique_kernel.BACKGROUND and device.is_cpu and _HAS_NEEDED and not _release_only
+
+
+@contextmanager
+def release_builds_only() -> Iterator[None]:
+    """Makes launches that are prepared in the block compile the release builds of their kernels."""
+    _release_only.append(None)
+    try:
+        yield
+    finally:
+        _release_only.pop()
+
+
+def current_build(kernel: wp.Kernel, device: wp.Device) -> wp.Kernel:
+    """Returns the build of ``kernel`` to launch on ``device``: the quick one while the release build is missing."""
+    if not starts_quick(device) or is_compiled(kernel):
+        return kernel
+    return unique_kernel.quick_build(kernel)
+
+
+def is_compiled(kernel: wp.Kernel) -> bool:
+    """Returns whether the release build of ``kernel`` for the CPU is in the kernel cache."""
+    if kernel not in _found and all(path.is_file() for path in _files(kernel)):
+        _found.add(kernel)
+    return kernel in _found
+
+
+def compile_job(kernel: wp.Kernel) -> CompileJob:
+    """Generates the source of the release build of ``kernel`` for the CPU, and writes it into a build folder.
+
+    Raises:
+        OSError: If the kernel cache cannot be written.
+    """
+    module = kernel.module
+    binary, meta = _files(kernel)
+    require_room(lambda: binary.parent.name)
+    options = module.resolved_options[_BLOCK_DIM] | {"output_arch": None}
+    source, extension, meta_data, *_ = module._run_codegen(options, True)
+    build_folder = Path(f"{binary.parent}_p{os.getpid()}_t{threading.get_ident()}")
+    build_folder.mkdir(parents=True, exist_ok=True)
+    source_file = f"{binary.parent.name}.{extension}"
+    (build_folder / source_file).write_text(source, encoding="utf-8")
+    module._write_meta(build_folder / meta.name, meta_data)
+    level = options["optimization_level"]
+    build_options = {
+        "mode": options["mode"],
+        "verify_fp": options["verify_fp"],
+        "fast_math": options["fast_math"],
+        "fuse_fp": options["fuse_fp"],
+        "extra_flags": options["cpu_compiler_flags"],
+        "optimization_level": _DEFAULT_LEVEL if level is None else level,
+        "use_precompiled_headers": options["use_precompiled_headers"],
+        "block_dim": _BLOCK_DIM,
+        "enable_tiles_in_stack_memory": options["enable_tiles_in_stack_memory"],
+        "extra_include_dirs": list(options["extra_cpu_include_dirs"]),
+    }
+    name = kernel.key.split("__")[-1]
+    return CompileJob(name, str(binary.parent), str(build_folder), source_file, binary.name, build_options)
+
+
+def _files(kernel: wp.Kernel) -> tuple[Path, Path]:
+    """Returns the files of a build in the kernel cache: compiled code and metadata."""
+    module = kernel.module
+    folder = Path(wp.config.kernel_cache_dir, module.get_module_identifier(_BLOCK_DIM))
+    binary = module._get_compile_output_name(wp.get_device("cpu"), block_dim=_BLOCK_DIM)
+    return folder / binary, folder / module._get_meta_name(block_dim=_BLOCK_DIM)
