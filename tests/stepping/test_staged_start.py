@@ -126,7 +126,7 @@ def test_builds_are_requested_after_the_first_chunk_and_those_of_steps_first(com
     sim.step()
     for_steps, others = compiler.requests
     assert {kernel.key.split("__")[-1] for kernel in for_steps.kernels} == {"fused_steps"}
-    assert for_steps.kernels < others.kernels
+    assert for_steps.kernels <= others.kernels
     assert str(sim.explain()).endswith(f"compiled in the background: 0 of {others.count} kernels")
     compiler.finish()
     sim.step()

@@ -3,7 +3,7 @@
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from weakref import WeakKeyDictionary
@@ -110,12 +110,12 @@ class _CompilerThreads:
         self._running = 0
         self._executor: ThreadPoolExecutor | None = None
 
-    def start(self, tasks: Iterable[Callable[[], None]], threads: int = 2) -> list[Future[None]]:
-        """Queues tasks, and starts so many threads that with the calling one there are ``threads``."""
+    def start(self, tasks: Iterable[Callable[[], None]], others: int = 1) -> list[Future[None]]:
+        """Queues tasks, and starts at most ``others`` threads that run them."""
         queued: list[tuple[Callable[[], None], Future[None]]] = [(task, Future()) for task in tasks]
         with self._lock, suppress(RuntimeError):  # no thread can be started while the process exits
             self._queue.extend(queued)
-            for _ in range(min(len(self._queue), MAX_COMPILERS, threads) - 1 - self._running):
+            for _ in range(min(len(self._queue), MAX_COMPILERS - 1, others) - self._running):
                 if self._executor is None:
                     self._executor = ThreadPoolExecutor(
                         MAX_COMPILERS - 1, thread_name_prefix="warpcontact compiler"
@@ -126,20 +126,29 @@ class _CompilerThreads:
 
     def run(self, tasks: Iterable[Callable[[], None]], threads: int) -> None:
         """Runs tasks in this thread and others. After an error, no further task is begun, and the error is raised."""
-        futures = self.start(tasks, threads)
+        failed = threading.Event()
+
+        def run_unless_failed(task: Callable[[], None]) -> None:
+            if failed.is_set():
+                return
+            try:
+                task()
+            except BaseException:
+                failed.set()
+                raise
+
+        guarded = [partial(run_unless_failed, task) for task in tasks]
+        futures = self.start(guarded, min(len(guarded), threads) - 1)
+        while self._run_next():
+            pass
         try:
-            while not all(future.done() for future in futures):
-                if not self._run_next():
-                    wait(futures, return_when=FIRST_EXCEPTION)
-                if any(future.done() and not future.cancelled() and future.exception() for future in futures):
-                    break
-        finally:
-            for future in futures:
-                future.cancel()
             wait(futures)
+        except BaseException:
+            failed.set()
+            wait(futures)
+            raise
         for future in futures:
-            if not future.cancelled():
-                future.result()
+            future.result()
 
     def _work(self) -> None:
         while True:
@@ -155,13 +164,12 @@ class _CompilerThreads:
             task, future = self._queue.popleft()
         except IndexError:
             return False
-        if future.set_running_or_notify_cancel():
-            try:
-                task()
-            except BaseException as error:
-                future.set_exception(error)
-            else:
-                future.set_result(None)
+        try:
+            task()
+        except BaseException as error:
+            future.set_exception(error)
+        else:
+            future.set_result(None)
         return True
 
 
