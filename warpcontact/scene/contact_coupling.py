@@ -337,8 +337,7 @@ def add_contact_coupling(
     pairs = [(surface_a, surface_b, f"{name}_first")]
     if sides == "average":
         pairs.append((surface_b, surface_a, f"{name}_second"))
-    before = scene.snapshot()
-    try:
+    with scene.unchanged_on_error():
         contacts = []
         for own, other, label in pairs:
             points = scene.add_points(own, _points_of(name, own, number), name=f"{label}_points")
@@ -356,9 +355,6 @@ def add_contact_coupling(
             scene.exchange(contact, contacts[-1])
         coupling = ContactCoupling(name, surface_a, surface_b, contact_range, facing, sides, tuple(contacts))
         scene.include(coupling)
-    except Exception:
-        scene.restore(before)
-        raise
     return coupling
 
 

@@ -1,14 +1,14 @@
 """Data of a scene: bodies, surfaces, points, shapes and force elements; checks all user input.
 
 ``SceneData`` combines the mixins of ``add_bodies.py``, ``couplings.py``, ``shapes.py``, ``particles.py`` and
-``add_force_elements.py``. Users get its subclass ``Scene`` (``building/scene.py``), which builds models and imports
-USD.
+``scene_element.py``. Users get its subclass ``Scene`` (``building/scene.py``), which builds models and imports USD.
 """
 
 import copy
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -19,7 +19,6 @@ from warpcontact.kernels.catalogue.names import explain_renamed
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.mesh import face_mask
 from warpcontact.scene.add_bodies import Bodies
-from warpcontact.scene.add_force_elements import ForceElements
 from warpcontact.scene.couplings import Coupling, Couplings
 from warpcontact.scene.elements import (
     AREA,
@@ -40,7 +39,7 @@ from warpcontact.scene.elements import (
     options_of,
 )
 from warpcontact.scene.particles import ParticleContact, ParticleContacts
-from warpcontact.scene.scene_element import SceneElement
+from warpcontact.scene.scene_element import ForceElements, SceneElement
 from warpcontact.scene.shapes import Shape, ShapeContact, ShapeContacts
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
@@ -411,10 +410,16 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, ForceElement
         self.contacts[self.contacts.index(contact)] = other
         self._elements[other.name] = other
 
-    def restore(self, earlier: "SceneData") -> None:
-        """Removes all elements that were added since the snapshot ``earlier``."""
-        for name in (*_LISTS, "_elements"):
-            setattr(self, name, getattr(earlier, name))
+    @contextmanager
+    def unchanged_on_error(self) -> Iterator[None]:
+        """Removes the elements that were added in a block that raises an error; a context manager."""
+        earlier = self.snapshot()
+        try:
+            yield
+        except Exception:
+            for name in (*_LISTS, "_elements"):
+                setattr(self, name, getattr(earlier, name))
+            raise
 
     def snapshot(self) -> "SceneData":
         """Returns a shallow copy; elements that are added to this scene later are not in it."""

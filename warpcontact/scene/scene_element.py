@@ -1,7 +1,8 @@
-"""Elements of registered families of force elements: their arguments are declared by the fields of their class.
+"""Elements of registered families of force elements, and the method of ``Scene`` that adds them.
 
-A family that has no method of ``Scene`` of its own derives its elements from ``SceneElement``. ``Scene.add_element``,
-experiment files and USD descriptions read the fields, so that they need no code for the family.
+A family that has no method of ``Scene`` of its own derives its elements from ``SceneElement``; the fields of the class
+declare their arguments. ``Scene.add_force_element``, experiment files and USD descriptions read the fields, so that
+they need no code for the family.
 """
 
 import dataclasses
@@ -151,3 +152,41 @@ def check_ends(name: str, point_a: Points, point_b: Points) -> None:
             f"{name}: point_a and point_b are both fixed to {where}; they must be on two bodies, or on one and the "
             "world"
         )
+
+
+class ForceElements:
+    """The elements of registered families of a ``Scene``."""
+
+    force_elements: list[SceneElement]
+    _elements: dict[str, Any]
+
+    def add_force_element(self, kind: type[SceneElement], *, name: str | None = None, **arguments: Any) -> Any:
+        """Adds an element of a registered family of force elements.
+
+        Args:
+            kind: Class of the element, see "Adding a force element" in ``docs/architecture.md``.
+            name: Name in parameters and sensors. Default: generated.
+            **arguments: The arguments that the class declares.
+
+        Returns:
+            The element, an instance of ``kind``.
+
+        Raises:
+            TypeError: If an argument does not exist, or is missing.
+            ValueError: If a value is out of range; the message names it.
+        """
+        if not (isinstance(kind, type) and issubclass(kind, SceneElement)):
+            raise TypeError(f"kind must be a class derived from SceneElement, got {kind!r}")
+        name = checks.new_name(kind.prefix(), name, self._elements)
+        values = kind.checked(name, arguments)
+        for key, of in kind.references().items():
+            target = values[key]
+            if target is None and kind.is_optional(key):
+                continue
+            if not isinstance(target, of) or self._elements.get(target.name) is not target:
+                raise ValueError(f"{name}.{key} must be {of.__name__} of this scene, got {checks.element(target)}")
+        element = kind(name=name, **values)
+        element.check()
+        self.force_elements.append(element)
+        self._elements[name] = element
+        return element

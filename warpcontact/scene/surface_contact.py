@@ -30,25 +30,6 @@ def add_surface_contact(
     options: ContactOptions,
 ) -> tuple[Contact, ...]:
     """Implements ``Scene.add_surface_contact``. If it raises an error, the scene is unchanged."""
-    before = scene.snapshot()
-    try:
-        return _add(scene, surface_a, surface_b, material, samples, seed, sides, name, options)
-    except Exception:
-        scene.restore(before)
-        raise
-
-
-def _add(
-    scene: "SceneData",
-    surface_a: Surface,
-    surface_b: Surface,
-    material: ContactMaterial,
-    samples: int | str | Sequence[int | str],
-    seed: int,
-    sides: str,
-    name: str | None,
-    options: ContactOptions,
-) -> tuple[Contact, ...]:
     name = scene.new_name("contact", name)
     checks.choice(f"{name}.sides", sides, SIDES)
     scene.check_surface(f"{name}.surface_a", surface_a)
@@ -63,9 +44,11 @@ def _add(
             (surface_b, surface_a, pair[1], f"{name}_second"),
         ]
     made = []
-    for own, other, amount, label in runs:
-        points = scene.add_points(own, sample_points(own, amount, seed, f"{name}.samples"), name=f"{label}_points")
-        made.append(scene.add_contact(points, other, material, name=label, **options))
+    with scene.unchanged_on_error():
+        for own, other, amount, label in runs:
+            samples_of_own = sample_points(own, amount, seed, f"{name}.samples")
+            points = scene.add_points(own, samples_of_own, name=f"{label}_points")
+            made.append(scene.add_contact(points, other, material, name=label, **options))
     return tuple(made)
 
 
