@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-import nonsmooth_scenes
-import scenes
+import benchmark_scenes
+import nonsmooth_benchmark_scenes
 from engines import ENGINES, NONSMOOTH_ENGINES, Engine
 
 
@@ -33,10 +33,10 @@ class Comparison:
 
 COMPARISONS = {
     "compliant": Comparison(
-        scenes.SCENES, ENGINES, "Run", scenes.STEPS, list(scenes.SCENES), [1024], [8192, 32768, 131072]
+        benchmark_scenes.SCENES, ENGINES, "Run", benchmark_scenes.STEPS, list(benchmark_scenes.SCENES), [1024], [8192, 32768, 131072]
     ),
     "nonsmooth": Comparison(
-        nonsmooth_scenes.SCENES, NONSMOOTH_ENGINES, "NonsmoothRun", nonsmooth_scenes.STEPS, ["table8", "stack8"],
+        nonsmooth_benchmark_scenes.SCENES, NONSMOOTH_ENGINES, "NonsmoothRun", nonsmooth_benchmark_scenes.STEPS, ["table8", "stack8"],
         [4096], [4096, 131072],
     ),
 }  # fmt: skip

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import warp as wp
+from benchmark_scenes import SCENES, STEPS
 from result_file import RATIOS, default_path, stored, write
-from scenes import SCENES, STEPS
 from warpcontact.kernels.narrowphase.bare_query import kernel as bare_query
 
 import warpcontact as wc

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from benchmark_scenes import DT, SCENES, STEPS
 from result_file import write
-from scenes import DT, SCENES, STEPS
 from scipy.spatial import cKDTree
 from stages import stages
 

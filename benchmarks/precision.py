@@ -2,7 +2,7 @@
 
     python benchmarks/precision.py --out benchmarks/results/precision-cpu.json
 
-The scenes are those of ``scenes.py``. Each round runs the reference and then the variant. The ratio is taken per
+The scenes are those of ``benchmark_scenes.py``. Each round runs the reference and then the variant. The ratio is taken per
 round, and the report has its median and range over the rounds, so that other load on the machine cancels.
 """
 
@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 import warp as wp
-from scenes import SCENES
+from benchmark_scenes import SCENES
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts

@@ -21,8 +21,8 @@ from unittest import mock
 
 import numpy as np
 import warp as wp
+from benchmark_scenes import DT, SCENES
 from result_file import default_path, write
-from scenes import DT, SCENES
 from study import OUTCOMES, study
 
 import warpcontact as wc

@@ -4,7 +4,7 @@
     python benchmarks/scaling.py --device cuda:0 --most-envs 262144
     python benchmarks/scaling.py --series threads --out threads.json
 
-A run starts at rest and includes contact, as in ``scenes.py``. All cases of a series are prepared first and then
+A run starts at rest and includes contact, as in ``benchmark_scenes.py``. All cases of a series are prepared first and then
 run alternately, so that other load affects all of them. Lower bounds are measured as well: a bare closest-point
 query of every point and a copy of the state, and for threads the same number of single-threaded processes. The
 plot needs Matplotlib; ``scaling_picture.py`` can draw it later.

@@ -15,7 +15,7 @@ from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from nonsmooth_scenes import SCENES
+from nonsmooth_benchmark_scenes import SCENES
 
 from warpcontact.files.picture_file import check_path, save
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from benchmark_scenes import SCENES, STEPS
 from progress import Bar
 from result_file import default_path, write
-from scenes import SCENES, STEPS
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts, versions

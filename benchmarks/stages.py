@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import warp as wp
+from benchmark_scenes import SCENES
 from result_file import write
-from scenes import SCENES
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import warp as wp
+from benchmark_scenes import DAMPING, DT, FRICTION, SCENES, STEPS, STIFFNESS
 from result_file import default_path, write
-from scenes import DAMPING, DT, FRICTION, SCENES, STEPS, STIFFNESS
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts, versions

@@ -1,6 +1,7 @@
 """The packages import each other in one direction; imports inside functions count."""
 
 from collections import defaultdict
+from pathlib import Path
 
 import pytest
 from import_graph import import_graph, package
@@ -112,6 +113,13 @@ def test_core_imports_no_family_of_force_elements(graph):
 def test_no_large_knot_of_modules(graph):
     knots = [sorted(knot) for knot in strong_components(graph) if len(knot) > MAX_KNOT]
     assert knots == []
+
+
+def test_modules_of_tests_and_benchmarks_have_different_names():
+    """Both are imported as top-level modules, in one process."""
+    tests = Path(__file__).parent
+    names = {path.stem for path in (tests.parent / "benchmarks").glob("*.py")}
+    assert names & {path.stem for path in tests.rglob("*.py")} == set()
 
 
 def strong_components(graph: dict[str, set[str]]) -> list[set[str]]:

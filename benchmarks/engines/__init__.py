@@ -1,6 +1,6 @@
 """Engines of the comparisons: one module per engine.
 
-A module imports its engine, NumPy, ``scenes`` and ``nonsmooth_scenes`` only. It has
+A module imports its engine, NumPy, ``benchmark_scenes`` and ``nonsmooth_benchmark_scenes`` only. It has
 
 * ``PACKAGES``: packages whose versions are reported;
 * ``Run(scene, envs, device, threads, variant)`` and, for nonsmooth contact, ``NonsmoothRun``: a run ready to start,

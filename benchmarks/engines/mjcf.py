@@ -11,10 +11,10 @@ In the scenes of nonsmooth contact, feet are small spheres, and stiffness, dampi
 """
 
 import mujoco
-import nonsmooth_scenes
+import nonsmooth_benchmark_scenes
 import numpy as np
-from nonsmooth_scenes import EDGE, HEIGHT, MASS, RADIUS, NonsmoothScene
-from scenes import DAMPING, DT, FRICTION, GRAVITY, STIFFNESS, BenchmarkScene
+from benchmark_scenes import DAMPING, DT, FRICTION, GRAVITY, STIFFNESS, BenchmarkScene
+from nonsmooth_benchmark_scenes import EDGE, HEIGHT, MASS, RADIUS, NonsmoothScene
 
 
 def model(scene: BenchmarkScene) -> mujoco.MjModel:
@@ -60,11 +60,11 @@ def start(scene: BenchmarkScene, envs: int) -> np.ndarray:
 def nonsmooth_model(scene: NonsmoothScene, cone: str) -> mujoco.MjModel:
     """Returns the model of a benchmark scene of nonsmooth contact, with ``"elliptic"`` or ``"pyramidal"`` cones."""
     spec = mujoco.MjSpec()
-    spec.option.timestep = nonsmooth_scenes.DT
+    spec.option.timestep = nonsmooth_benchmark_scenes.DT
     spec.option.gravity = (0.0, 0.0, -GRAVITY)
     cones = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
     spec.option.cone = cones[cone]
-    contact = {"friction": (nonsmooth_scenes.FRICTION, 0.0, 0.0), "condim": 3}
+    contact = {"friction": (nonsmooth_benchmark_scenes.FRICTION, 0.0, 0.0), "condim": 3}
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE, size=(20.0, 20.0, 1.0), contype=1, conaffinity=0, **contact
     )

@@ -5,8 +5,8 @@ from typing import Any
 import mujoco
 import mujoco.rollout
 import numpy as np
-from nonsmooth_scenes import DT, FRICTION, SAMPLES, NonsmoothScene, residual
-from scenes import BenchmarkScene, sanity
+from benchmark_scenes import BenchmarkScene, sanity
+from nonsmooth_benchmark_scenes import DT, FRICTION, SAMPLES, NonsmoothScene, residual
 
 from engines import mjcf
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import mujoco_warp as mjw
 import warp as wp
-from scenes import BenchmarkScene, sanity
+from benchmark_scenes import BenchmarkScene, sanity
 
 from engines import mjcf
 

@@ -12,7 +12,7 @@ from typing import Any
 import newton
 import numpy as np
 import warp as wp
-from scenes import DAMPING, DT, FRICTION, GRAVITY, SLIP_SPEED, STIFFNESS, BenchmarkScene, sanity
+from benchmark_scenes import DAMPING, DT, FRICTION, GRAVITY, SLIP_SPEED, STIFFNESS, BenchmarkScene, sanity
 
 PACKAGES = ("newton", "warp-lang", "numpy")
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from nonsmooth_scenes import DT, EDGE, FRICTION, GRAVITY, HEIGHT, MASS, RADIUS, SAMPLES, NonsmoothScene
-from scenes import BenchmarkScene, sanity
+from benchmark_scenes import BenchmarkScene, sanity
+from nonsmooth_benchmark_scenes import DT, EDGE, FRICTION, GRAVITY, HEIGHT, MASS, RADIUS, SAMPLES, NonsmoothScene
 
 import warpcontact as wc
 from warpcontact.benchmark.simulation import simulation

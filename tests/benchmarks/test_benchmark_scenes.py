@@ -28,7 +28,7 @@ def load(name):
 
 @pytest.fixture(scope="module")
 def scenes():
-    return load("scenes").SCENES
+    return load("benchmark_scenes").SCENES
 
 
 def test_benchmark_terrain_equals_library_terrain(scenes):
@@ -96,7 +96,7 @@ def test_benchmark_spheres_come_to_rest_in_the_bowl(scenes, device):
     sim = simulation(scene, 4, device)
     sim.step(1500)
     positions = sim.model.sensor("body.position")
-    figures = load("scenes").sanity(scene, positions)
+    figures = load("benchmark_scenes").sanity(scene, positions)
     assert figures["below"] == figures["not_finite"] == 0.0
     # On the bowl or on each other; no penetration exceeds what dashpots and weight explain.
     assert figures["highest_body"] < 0.5
@@ -138,7 +138,7 @@ def test_table_row_has_best_environment_count_and_ratio_to_best_peer():
 
 
 def test_nonsmooth_residual_is_zero_for_stick_slip_and_separation():
-    residual = load("nonsmooth_scenes").residual
+    residual = load("nonsmooth_benchmark_scenes").residual
     resting = np.zeros(3)
     sliding = np.array([0.0, 0.3, -0.4])
     leaving = np.array([0.2, 0.0, 0.0])

@@ -4,10 +4,12 @@ import errno
 import os
 import stat
 from io import BufferedReader
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from warpcontact.validation.number_format import format_bytes
+
+if TYPE_CHECKING:
+    import numpy as np
 
 #: Largest size of text files, such as JSON, TOML and Python files [bytes].
 TEXT = 512 * 2**20
@@ -112,7 +114,7 @@ _WORDS = {
 }
 
 
-def check_numbers(what: str, array: np.ndarray) -> None:
+def check_numbers(what: str, array: "np.ndarray") -> None:
     """Raises ``ValueError`` about ``what`` unless an array has real numbers."""
     if array.dtype.kind not in "iuf":
         raise ValueError(f"{what} must be numbers, got {_WORDS.get(array.dtype.kind, str(array.dtype))}")
