@@ -29,7 +29,7 @@ from warpcontact.system.resources import available_threads
 
 PROCESS = Path(__file__).with_name("start_process.py")
 #: Targets: upper limits of import and first step [s], lower limit of one environment [steps/s].
-PROMISES = {"import": 0.5, "cold": 15.0, "warm": 1.0, "alone": 1e5}
+PROMISES = {"import": 0.5, "cold": 5.0, "warm": 1.0, "alone": 1e5}
 
 
 def main() -> None:
@@ -131,6 +131,8 @@ def lines(report: dict[str, Any]) -> list[str]:
                 ("read", "read and check the file"),
                 ("build", "build"),
                 ("step", "first step" if name == "warm" else f"first step, {part['modules']} modules compiled"),
+                ("release", "from there to release builds of kernels"),
+                ("longest", "longest 8 steps until then"),
                 ("process", "whole process"),
             )
         ]

@@ -352,7 +352,7 @@ def reset(real: type) -> wp.Kernel:
     """Returns the kernel that resets catenaries. Launch with dim (env, line)."""
     Lines = line_structs(real).Lines
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset_lines(mask: wp.array(dtype=wp.bool), last_solution: CatenarySolution, lines: Lines):
         env, line = wp.tid()
         if mask[env]:

@@ -99,7 +99,7 @@ def reset(real: type) -> wp.Kernel:
     """Returns the kernel that clears ``extremes`` of selected environments. Launch with dim (env, coupling)."""
     CouplingExtremes = structs(real).CouplingExtremes
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset_extremes(mask: wp.array(dtype=wp.bool), extremes: CouplingExtremes):
         env, coupling = wp.tid()
         if mask[env]:

@@ -272,7 +272,7 @@ def reset(real: type) -> wp.Kernel:
     vec3 = t.vec3
     Springs = spring_structs(real).Springs
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset_springs(mask: wp.array(dtype=wp.bool), springs: Springs):
         env, spring = wp.tid()
         if mask[env]:

@@ -178,7 +178,7 @@ def start(motion: type[Motion], real: type) -> wp.Kernel:
         motion_functions.mean_velocities,
     )
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def start_motion(
         mask: wp.array(dtype=wp.bool),
         time: wp.array(dtype=wp.float64),  # [env] [s]

@@ -294,7 +294,7 @@ def reset(real: type) -> wp.Kernel:
     vec3 = structs(real).vec3
     SolveResult, StepStatistics = row_structs(real).SolveResult, record_structs(real).StepStatistics
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset_statistics(
         mask: wp.array(dtype=wp.bool),
         all_statistics: wp.int32,  # 0: keep statistics, clear only the impulses

@@ -138,7 +138,7 @@ def reset_outcome(length: int) -> wp.Kernel:
     """Returns the kernel that resets memories to their initial values. Launch with dim (env, result)."""
     Memory = wp.types.vector(length=length, dtype=wp.float64)
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def restart_memory(mask: wp.array(dtype=wp.bool), start: Memory, memory: wp.array2d(dtype=Memory)):
         env, number = wp.tid()
         if mask[env]:
@@ -151,7 +151,7 @@ def reset_outcome(length: int) -> wp.Kernel:
 def reset_counts() -> wp.Kernel:
     """Returns the kernel that sets counts to 0. Launch with dim env."""
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset(mask: wp.array(dtype=wp.bool), counts: wp.array(dtype=wp.int32)):
         env = wp.tid()
         if mask[env]:
@@ -220,7 +220,7 @@ def check_stop(form: SourceForm) -> wp.Kernel:
 def reset_stops() -> wp.Kernel:
     """Returns the kernel that resets conditions. Launch with dim env."""
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset_conditions(mask: wp.array(dtype=wp.bool), count: wp.int32, stops: StopStates):
         env = wp.tid()
         if mask[env]:
@@ -283,7 +283,7 @@ def record_events(form: SourceForm) -> wp.Kernel:
 def reset_events() -> wp.Kernel:
     """Returns the kernel that clears events. Launch with dim env."""
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def clear_events(mask: wp.array(dtype=wp.bool), events: Events):
         env = wp.tid()
         if mask[env]:

@@ -84,7 +84,7 @@ def accept(parts: ContactModel, real: type, nonsmooth: bool = False) -> wp.Kerne
 def reset() -> wp.Kernel:
     """Returns the kernel that clears the history of masked environments. Launch with dim (env, slot or particle)."""
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset_particle_contacts(
         mask: wp.array(dtype=wp.bool),
         flags: wp.array2d(dtype=wp.int32),

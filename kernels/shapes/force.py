@@ -182,7 +182,7 @@ def reset_contacts(real: type) -> wp.Kernel:
     """Returns the kernel that resets the history of contacts. Launch with dim (env, contact)."""
     ShapeContacts = shape_contact_structs(real).ShapeContacts
 
-    @unique_kernel()
+    @unique_kernel(runs_rarely=True)
     def reset_shape_contacts(
         mask: wp.array(dtype=wp.bool), warm_starts: WarmStarts, shape_contacts: ShapeContacts
     ):

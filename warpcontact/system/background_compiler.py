@@ -106,10 +106,12 @@ class BackgroundCompiler:
         while (kernel := self._next()) is not None:
             error = ""
             try:
-                if process is None:
-                    process = _Process()
-                    self._processes.add(process)
-                process.compile(compile_job(kernel))
+                # Another process may have compiled it in the meantime.
+                if not is_compiled(kernel):
+                    if process is None:
+                        process = _Process()
+                        self._processes.add(process)
+                    process.compile(compile_job(kernel))
                 with shared_capture_lock(), self._loading:
                     compile_as_launched(kernel, wp.get_device("cpu"))
             except Exception as raised:

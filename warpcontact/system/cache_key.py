@@ -65,6 +65,7 @@ def machine_facts(device: str | Sequence[str]) -> dict[str, Any]:
         "gpu": bool(gpus),
         "architectures": sorted({int(one.arch) for one in used}),
         "options": unique_kernel.OPTIONS,
+        "quick options": unique_kernel.QUICK_OPTIONS,
         "disabled": sorted(switches.DISABLED),
         "mode": wp.config.mode,
     }
