@@ -130,7 +130,7 @@ class UserFiles:
     Args:
         folder: Folder of the experiment.
         on_stage: Called with a short description before a file is loaded.
-        trusted: Files that may be executed if the folder is a run folder; see ``trust.py``.
+        trusted: Files that may be executed if the folder is a run folder; see ``may_run``.
     """
 
     def __init__(self, folder: Path, on_stage: Callable[[str], None], trusted: Trust = False) -> None:

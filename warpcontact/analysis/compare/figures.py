@@ -1,4 +1,4 @@
-"""Shared parts of the plots of laws and friction models: figure with heading, colors, legends, file check."""
+"""Shared parts of the plots of laws and friction models: figure with heading, colors and legends."""
 
 import re
 import textwrap
@@ -10,10 +10,6 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-
-from warpcontact.files.picture_file import check_path, save
-
-__all__ = ["check_path", "save"]  # re-exported, in addition to the definitions below
 
 #: Largest number of laws or friction models that can be distinguished in one plot.
 MOST = 8

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 from warpcontact.analysis.compare import figures, instances
 from warpcontact.analysis.compare.friction_tests import breakaway_coefficients, friction_speeds, slips, swings
-from warpcontact.analysis.compare.labels import number, prefixed, titled
+from warpcontact.analysis.compare.instances import number, prefixed, titled
+from warpcontact.files.picture_file import check_path, save
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.friction.base import Friction
 
@@ -45,7 +46,7 @@ def plot_friction_models(
         TypeError: If an entry is not a friction model.
         ValueError: If a value is out of range, the file cannot be written, or there are more than ``MOST`` models.
     """
-    file = None if path is None else figures.check_path(path)
+    file = None if path is None else check_path(path)
     given = instances.named(Friction, friction_models)
     figures.check_count("friction models", list(given))
     options: dict[str, Any] = {"load": load, "device": device}
@@ -69,7 +70,7 @@ def plot_friction_models(
             note, slips(given, near_zero, **options), slips(given, **options), swinging, held, steered
         )
     if file is not None:
-        figures.save(figure, file)
+        save(figure, file)
     return figure
 
 

@@ -13,7 +13,7 @@ import xarray as xr
 
 from warpcontact._version import __version__
 from warpcontact.analysis.compare import instances
-from warpcontact.analysis.compare.labels import notes, settings
+from warpcontact.analysis.compare.instances import notes, settings
 from warpcontact.building.scene import Scene
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.friction.base import Friction

@@ -8,7 +8,7 @@ import xarray as xr
 
 from warpcontact._version import __version__
 from warpcontact.analysis.compare.drop_tests import Impact, LawCase, Run, cases, dissipation_values, drop
-from warpcontact.analysis.compare.labels import notes, settings
+from warpcontact.analysis.compare.instances import notes, settings
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array

@@ -1,4 +1,4 @@
-"""Instances of laws and friction models for comparisons: classes get values suited to the test.
+"""Instances of laws and friction models for comparisons, with values suited to the test, and their labels.
 
 Instances are used unchanged. A class can come with some values, as ``functools.partial``; only the others are chosen.
 """
@@ -11,6 +11,10 @@ from typing import Any
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.laws.base import Law
+
+# The unit prefix is chosen so that the largest number on an axis exceeds this.
+LEAST = 0.5
+PREFIXES = {1.0e6: "M", 1.0e3: "k", 1.0: "", 1.0e-3: "m", 1.0e-6: "µ", 1.0e-9: "n"}
 
 # Elastic parameters, to which the elastic force is proportional.
 MODULI = ("stiffness", "modulus", "k1")
@@ -29,6 +33,36 @@ STRETCH = 1.0e-4
 DRAG_SPEED, SPEED = 0.2, 1.0e-2
 # Area of the contact for laws per area [m²].
 AREA = 1.0e-4
+
+
+def notes(unit: str, meaning: str) -> dict[str, str]:
+    """Returns the attributes of a variable."""
+    return {"units": unit, "long_name": meaning}
+
+
+def number(value: float, unit: str) -> str:
+    """Returns a value with its unit as text."""
+    return f"{value:.4g}" if unit in ("", "-") else f"{value:.4g} {unit}"
+
+
+def settings(formula: Formula, without: str | None = None) -> str:
+    """Returns the parameters of a law or friction model as text, except ``without``."""
+    return ", ".join(
+        f"{name} {number(value, formula.limits(name)['unit'])}"
+        for name, value in formula.parameters().items()
+        if name != without
+    )
+
+
+def titled(label: str, kind: str) -> str:
+    """Returns a label, followed by the name of the class if it differs."""
+    return label if label == kind else f"{label} ({kind})"
+
+
+def prefixed(largest: float, unit: str) -> tuple[float, str]:
+    """Returns a factor and a prefixed unit, in which ``largest`` is at least ``LEAST`` if possible."""
+    factor = next((factor for factor in PREFIXES if largest >= LEAST * factor), 1.0)
+    return 1.0 / factor, PREFIXES[factor] + unit
 
 
 class MissingValues(ValueError):

@@ -1,22 +1,111 @@
 """Plots of normal laws: loops, force over time, and effective restitution."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from warpcontact.analysis.compare import figures, instances, law_panels
+from warpcontact.analysis.compare import figures, instances
 from warpcontact.analysis.compare.impact import RESTITUTIONS, check_restitutions, impacts, rebounds
-from warpcontact.analysis.compare.labels import number, titled
-from warpcontact.analysis.compare.law_panels import Scales
+from warpcontact.analysis.compare.instances import number, prefixed, titled
+from warpcontact.files.picture_file import check_path, save
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
+
+# Time shown after the end of the longest contact, as a fraction of its duration.
+AFTER = 0.06
 
 #: Default restitutions whose loops are drawn.
 LOOPS = (0.2, 0.4, 0.6, 0.8, 1.0)
 # Color of loops that do not depend on the prescribed restitution; different from the colors of restitutions.
 UNVARIED = "0.25"
+
+
+class Scales:
+    """Factors and axis labels for penetration, force and time of a data set, with prefixed units."""
+
+    def __init__(self, data: xr.Dataset) -> None:
+        self.depth, depth = prefixed(float(data["greatest_penetration"].max()), "m")
+        self.force, force = prefixed(float(data["greatest_force"].max()), "N")
+        self.time, time = prefixed(float(data["contact_time"].max()), "s")
+        self.depth_label = f"penetration δ [{depth}]"
+        self.force_label = f"normal force N [{force}]"
+        self.time_label = f"time since first contact [{time}]"
+
+
+def draw_loop(axes: Any, case: xr.Dataset, scales: Scales, **style: Any) -> None:
+    """Draws force over penetration in one impact."""
+    delta, force = _closed(case)
+    axes.plot(scales.depth * delta, scales.force * force, **style)
+
+
+def draw_force(axes: Any, case: xr.Dataset, scales: Scales, **style: Any) -> None:
+    """Draws force over time in one impact."""
+    axes.plot(scales.time * case["time"], scales.force * case["normal_force"], **style)
+
+
+def label_loops(axes: Any, scales: Scales, title: str) -> None:
+    """Labels a panel of loops."""
+    figures.label_axes(axes, title, scales.depth_label, scales.force_label)
+
+
+def label_forces(axes: Any, cases: xr.Dataset, scales: Scales, title: str) -> None:
+    """Labels a panel of forces over time; the time axis ends shortly after the longest contact of ``cases``."""
+    end = scales.time * float(cases["contact_time"].max())
+    axes.set_xlim(-0.5 * AFTER * end, (1.0 + AFTER) * end)
+    figures.label_axes(axes, title, scales.time_label, scales.force_label)
+
+
+def draw_restitution(axes: Any, law: xr.Dataset, marked: Sequence[float], colors: Any) -> None:
+    """Draws effective restitution of one law over the varied parameter, with dots at the ``marked`` restitutions."""
+    varied, unit = law["varied"].item(), law["unit"].item()
+    over = law["parameter"] if varied not in ("", "restitution") else law["restitution"]
+    axes.plot(over, law["effective_restitution"], color="0.4", zorder=1)
+    points = law.sel(restitution=list(marked))
+    x_values = points[str(over.name)]
+    axes.scatter(x_values, points["effective_restitution"], c=colors, s=45, edgecolors="black", lw=0.6, zorder=3)
+    axes.set_ylim(0.0, 1.04)
+    if over.name == "restitution":
+        axes.plot([0.0, 1.0], [0.0, 1.0], color="0.5", linestyle=":", zorder=0)
+        axes.set_xlim(0.0, 1.04)
+        title, x = "effective restitution (dotted: prescribed)", "prescribed restitution [-]"
+    else:
+        title, x = f"effective restitution over {varied}", f"{varied} [{unit}]"
+    figures.label_axes(axes, title, x, "effective restitution [-]")
+
+
+def draw_over_speed(axes: Any, rebound: xr.DataArray, **style: Any) -> None:
+    """Draws effective restitution over impact speed."""
+    axes.plot(rebound["speed"], rebound, **style, marker=".", markersize=4)
+
+
+def label_over_speed(axes: Any, title: str) -> None:
+    """Labels a panel of effective restitution over impact speed."""
+    axes.set(xscale="log", ylim=(0.0, 1.04))
+    figures.label_axes(axes, title, "impact speed [m/s]", "effective restitution [-]")
+
+
+def draw_asked(axes: Any, effective: xr.DataArray, **style: Any) -> None:
+    """Draws effective over prescribed restitution."""
+    axes.plot(effective["restitution"], effective, **style)
+
+
+def label_asked(axes: Any) -> None:
+    """Labels a panel of effective over prescribed restitution."""
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.5", linestyle=":", zorder=0)
+    axes.set(xlim=(0.0, 1.04), ylim=(0.0, 1.04))
+    title = "effective restitution (dotted: prescribed)"
+    figures.label_axes(axes, title, "prescribed restitution [-]", "effective restitution [-]")
+
+
+def _closed(case: xr.Dataset) -> tuple[Any, Any]:
+    """Returns penetration and force of a loop from first contact to the end of the force."""
+    delta, force = case["penetration"].values, case["normal_force"].values
+    acting = np.flatnonzero(force)
+    part = slice(max(int(acting[0]) - 1, 0), int(acting[-1]) + 2) if len(acting) else slice(0, 1)
+    return delta[part], force[part]
 
 
 @explain_keywords
@@ -50,7 +139,7 @@ def plot_laws(
         TypeError: If an entry is not a law.
         ValueError: If a value is out of range, the file cannot be written, or there are more than ``MOST`` laws.
     """
-    file = None if path is None else figures.check_path(path)
+    file = None if path is None else check_path(path)
     given = instances.named(Law, laws)
     figures.check_count("laws", list(given))
     options: dict[str, Any] = {"mass": mass, "speed": speed, "depth": depth, "device": device}
@@ -67,7 +156,7 @@ def plot_laws(
     else:
         figure = _several(note, data, drawn, rebounds(given, drawn[(len(drawn) - 1) // 2], **options))
     if file is not None:
-        figures.save(figure, file)
+        save(figure, file)
     return figure
 
 
@@ -80,15 +169,15 @@ def _one(heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, ove
     scales, colors = Scales(cases), figures.shades(cases.sizes["restitution"])
     for k, shade in enumerate(colors):
         case = cases.isel(restitution=k)
-        law_panels.draw_loop(panels[0, 0], case, scales, color=shade)
-        law_panels.draw_force(panels[0, 1], case, scales, color=shade)
-    law_panels.label_loops(panels[0, 0], scales, "force over penetration")
-    law_panels.label_forces(panels[0, 1], cases, scales, "force over time")
-    law_panels.draw_restitution(panels[1, 0], law, cases["restitution"].values.tolist(), colors)
+        draw_loop(panels[0, 0], case, scales, color=shade)
+        draw_force(panels[0, 1], case, scales, color=shade)
+    label_loops(panels[0, 0], scales, "force over penetration")
+    label_forces(panels[0, 1], cases, scales, "force over time")
+    draw_restitution(panels[1, 0], law, cases["restitution"].values.tolist(), colors)
     for shade, prescribed in zip(colors, over_speed["restitution"].values, strict=False):
         values = over_speed["effective_restitution"].isel(law=0).sel(restitution=prescribed)
-        law_panels.draw_over_speed(panels[1, 1], values, color=shade)
-    law_panels.label_over_speed(panels[1, 1], "restitution over impact speed")
+        draw_over_speed(panels[1, 1], values, color=shade)
+    label_over_speed(panels[1, 1], "restitution over impact speed")
     figures.legend_below(figure, colors, [_case_name(cases.isel(restitution=k)) for k in range(len(colors))])
     return sheet
 
@@ -107,16 +196,16 @@ def _several(note: str, data: xr.Dataset, drawn: Any, over_speed: xr.Dataset) ->
     scales, colors = Scales(loops), [figures.color(k) for k in range(len(labels))]
     for k, shade in enumerate(colors):
         style = {"color": shade, "linewidth": figures.width(k, len(labels))}
-        law_panels.draw_loop(panels[0], same.isel(law=k), scales, **style)
-        law_panels.draw_force(panels[1], same.isel(law=k), scales, **style)
-        law_panels.draw_over_speed(panels[3], over_speed["effective_restitution"][k, 0], **style)
+        draw_loop(panels[0], same.isel(law=k), scales, **style)
+        draw_force(panels[1], same.isel(law=k), scales, **style)
+        draw_over_speed(panels[3], over_speed["effective_restitution"][k, 0], **style)
         line = "-" if same["varied"].values[k] else "--"
-        law_panels.draw_asked(panels[2], data["effective_restitution"].isel(law=k), linestyle=line, **style)
+        draw_asked(panels[2], data["effective_restitution"].isel(law=k), linestyle=line, **style)
     e = f"e = {middle:g}" if any(same["varied"].values) else "e as below"
-    law_panels.label_loops(panels[0], scales, f"force over penetration, {e}")
-    law_panels.label_forces(panels[1], same, scales, f"force over time, {e}")
-    law_panels.label_asked(panels[2])
-    law_panels.label_over_speed(panels[3], f"over speed, {e} at {_speed(data)}")
+    label_loops(panels[0], scales, f"force over penetration, {e}")
+    label_forces(panels[1], same, scales, f"force over time, {e}")
+    label_asked(panels[2])
+    label_over_speed(panels[3], f"over speed, {e} at {_speed(data)}")
     figures.legend_below(upper, colors, [_name(same.isel(law=k)) for k in range(len(labels))])
     _draw_families(lower, loops, scales)
     return figure
@@ -129,10 +218,10 @@ def _draw_families(figure: Any, loops: xr.Dataset, scales: Scales) -> None:
         law = loops.isel(law=k)
         if law["varied"].item():
             for j, shade in enumerate(colors):
-                law_panels.draw_loop(axes, law.isel(restitution=j), scales, color=shade)
+                draw_loop(axes, law.isel(restitution=j), scales, color=shade)
         else:
-            law_panels.draw_loop(axes, law.isel(restitution=-1), scales, color=UNVARIED)
-        law_panels.label_loops(axes, scales, _name(law.isel(restitution=-1)))
+            draw_loop(axes, law.isel(restitution=-1), scales, color=UNVARIED)
+        label_loops(axes, scales, _name(law.isel(restitution=-1)))
         axes.title.set_color(figures.color(k))
         if k % figures.COLUMNS:
             axes.set_ylabel("")
