@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from warpcontact.drawing import equal_items
+from warpcontact.drawing import reduction
 from warpcontact.drawing.colors import per_environment_number
-from warpcontact.drawing.equal_items import merged_items
+from warpcontact.drawing.reduction import merged_items
 from warpcontact.visualize.viewer.values import rows_of_parameters
 
 ENVS, ITEMS = 6, 40
@@ -23,9 +23,9 @@ def parameter(*, item="item", axes=(), dtype=np.float64):
 
 @pytest.mark.parametrize("item", ["item", "feet.item"])
 @pytest.mark.parametrize("axes", [(), ("axis",), ("row", "column")])
-@pytest.mark.parametrize("block", [equal_items.BLOCK, 1])
+@pytest.mark.parametrize("block", [reduction.BLOCK, 1])
 def test_equal_items_are_merged(item, axes, block, monkeypatch):
-    monkeypatch.setattr(equal_items, "BLOCK", block)
+    monkeypatch.setattr(reduction, "BLOCK", block)
     array = parameter(item=item, axes=axes)
     merged = merged_items(array)
     assert merged.dims == ("env", *axes)
@@ -52,7 +52,7 @@ def test_items_of_one_environment_are_merged():
 
 
 def test_item_comparison_stops_at_the_first_difference(monkeypatch):
-    monkeypatch.setattr(equal_items, "BLOCK", 1)
+    monkeypatch.setattr(reduction, "BLOCK", 1)
     array, blocks, isel = parameter(), [], xr.DataArray.isel
     array[2, 3] = 0.5
     monkeypatch.setattr(xr.DataArray, "isel", lambda self, *a, **k: (blocks.append(a), isel(self, *a, **k))[1])

@@ -12,7 +12,7 @@ import xarray as xr
 from test_experiment import content
 
 import warpcontact as wc
-from warpcontact.drawing.decimation import evenly
+from warpcontact.drawing.reduction import evenly
 from warpcontact.experiment.progress import run_status
 
 pytestmark = pytest.mark.installed

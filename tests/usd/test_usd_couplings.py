@@ -6,7 +6,7 @@ from pxr import Usd, UsdGeom
 from recorded_usd_scene import findings
 
 import warpcontact as wc
-from warpcontact.drawing.couplings import LINE_POINTS, PER_TURN, TURNS, Coil, coil_points
+from warpcontact.drawing.lines import LINE_POINTS, PER_TURN, TURNS, Coil, coil_points
 
 
 @pytest.fixture(scope="module")

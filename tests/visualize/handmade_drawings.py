@@ -5,8 +5,7 @@ import math
 import numpy as np
 import warp as wp
 
-from warpcontact.drawing.drawing import Drawing, Figure, Shape
-from warpcontact.drawing.triangles import ball
+from warpcontact.drawing.drawing import Drawing, Figure, Shape, ball
 from warpcontact.visualize.rendering.camera import Camera, direction
 from warpcontact.visualize.rendering.painter import Painter
 from warpcontact.visualize.rendering.stage import Stage, place_figure

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from warpcontact.drawing.decimation import evenly, kept_samples
+from warpcontact.drawing.reduction import evenly, kept_samples
 from warpcontact.experiment import curves
 from warpcontact.experiment.curves import DISTANCE, MAGNITUDE, read_curves, sample_size
 

@@ -6,7 +6,7 @@ from recorded_usd_scene import CORNERS, RADII, simulate
 from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
-from warpcontact.drawing.draw import drawing_of
+from warpcontact.drawing.drawing import drawing_of
 
 TURNED = (0.0, 0.0, np.sin(0.3), np.cos(0.3))
 

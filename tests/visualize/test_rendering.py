@@ -10,8 +10,7 @@ from handmade_drawings import PLATE, balls, camera, covered, drawing, figure, pa
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, SPHERE, World, intersect_shape, shape_normal, trace
 
 from warpcontact.drawing.colors import linear
-from warpcontact.drawing.drawing import Shape
-from warpcontact.drawing.triangles import ball
+from warpcontact.drawing.drawing import Shape, ball
 from warpcontact.meshes import icosphere
 from warpcontact.visualize.rendering.painter import Painter, light_of
 from warpcontact.visualize.rendering.stage import Items, Stage, place_figure

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from warpcontact.drawing.drawing import Shape
-from warpcontact.drawing.triangles import ball
+from warpcontact.drawing.drawing import Shape, ball
 from warpcontact.model.health import Health
 from warpcontact.scene.contact_coupling import CouplingReport
 from warpcontact.scene.status import EnvironmentStatus, FailureCause

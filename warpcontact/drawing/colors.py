@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from warpcontact.drawing.equal_items import merged_items
+from warpcontact.drawing.reduction import merged_items
 from warpcontact.validation.checks import Array
 
 #: Perceptually uniform color map, also suitable for color-blind readers.

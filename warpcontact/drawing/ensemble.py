@@ -8,10 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.drawing.geometry import Placement, ShapePlacement, Spheres, find_spheres
 from warpcontact.drawing.replay import Replay
-from warpcontact.drawing.shapes import ShapePlacement
-from warpcontact.drawing.spheres import Spheres, find_spheres
-from warpcontact.drawing.surfaces import Placement
 from warpcontact.scene.elements import Body
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.validation.checks import Array

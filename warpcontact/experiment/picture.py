@@ -21,8 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from warpcontact.drawing.decimation import evenly
-from warpcontact.drawing.equal_items import merged_items
+from warpcontact.drawing.reduction import evenly, merged_items
 from warpcontact.experiment.curves import bin_edges, has_integer_bins
 from warpcontact.experiment.ground import (
     GroundSurface,
@@ -302,7 +301,7 @@ def _tracks(recording: Recording, body: Body, chosen: NDArray[np.int_]) -> NDArr
 
 def _coupling_shapes(recording: Recording) -> list[NDArray[Any]]:
     """Returns the curves of the couplings in the first environment at the end, (n, 3) each, world frame [m]."""
-    from warpcontact.drawing.couplings import CouplingCurve
+    from warpcontact.drawing.lines import CouplingCurve
     from warpcontact.drawing.replay import Replay
 
     shown = [coupling for coupling in recording.scene.couplings if coupling.visible]

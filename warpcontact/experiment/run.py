@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.building.scene import Scene
-from warpcontact.drawing.equal_items import merged_items
+from warpcontact.drawing.reduction import merged_items
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import FileCache, SceneBuilder
 from warpcontact.experiment.errors import ExperimentError, Problems, abbreviated

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.algebra.quantiles import quantiles_over
-from warpcontact.drawing.decimation import evenly, kept_samples
+from warpcontact.drawing.reduction import evenly, kept_samples
 from warpcontact.experiment.curves import (
     DISTANCE,
     MAGNITUDE,

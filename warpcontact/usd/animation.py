@@ -8,10 +8,9 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.algebra.vectors import shortest_rotations
-from warpcontact.drawing.body_sets import BodySet
-from warpcontact.drawing.forces import ForceLines
+from warpcontact.drawing.geometry import BodySet, body_color
+from warpcontact.drawing.lines import ForceLines
 from warpcontact.drawing.replay import Replay
-from warpcontact.drawing.spheres import body_color
 from warpcontact.usd.author import (
     Samples,
     attribute_name,

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.drawing.body_sets import CENTRES, BodySet
-from warpcontact.drawing.shapes import ShapePlacement
-from warpcontact.drawing.surfaces import Placement
+from warpcontact.drawing.geometry import CENTRES, BodySet, Placement, ShapePlacement
 from warpcontact.scene.elements import Body
 from warpcontact.validation.checks import Array
 

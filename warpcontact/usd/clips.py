@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpcontact.drawing.content import Content
-from warpcontact.drawing.couplings import Coil
+from warpcontact.drawing.lines import Coil
 from warpcontact.files.atomic_files import write_json
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import PARTIAL, RunPath, below_run, place_of

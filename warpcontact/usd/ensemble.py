@@ -12,7 +12,7 @@ import xarray as xr
 from warpcontact.drawing.colors import COLORMAP, Scale, per_environment_number
 from warpcontact.drawing.content import POINT
 from warpcontact.drawing.ensemble import BodyAppearance, Ensemble
-from warpcontact.drawing.spheres import body_color
+from warpcontact.drawing.geometry import body_color
 from warpcontact.kernels.catalogue.names import stored_name, suggestion
 from warpcontact.usd.author import (
     ENSEMBLE,

@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.drawing.content import POINT, Content
-from warpcontact.drawing.ranges import SceneRanges, body_reach
+from warpcontact.drawing.content import POINT, Content, SceneRanges, body_reach
+from warpcontact.drawing.geometry import body_size
 from warpcontact.drawing.replay import Replay
-from warpcontact.drawing.spheres import body_size
 from warpcontact.scene.elements import Body
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.animation import (

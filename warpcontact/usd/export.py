@@ -10,9 +10,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from warpcontact._version import __version__
-from warpcontact.drawing.content import Content
+from warpcontact.drawing.content import Content, SceneRanges
 from warpcontact.drawing.ensemble import Ensemble
-from warpcontact.drawing.ranges import SceneRanges
 from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.scene.scene_data import SceneData

@@ -8,9 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.algebra.vectors import transform_points
-from warpcontact.drawing.shapes import PLANE, ShapePlacement, ShapeSet
-from warpcontact.drawing.spheres import Spheres, body_color
-from warpcontact.drawing.surfaces import INACTIVE, Placement, surface_color
+from warpcontact.drawing.geometry import (
+    INACTIVE,
+    PLANE,
+    Placement,
+    ShapePlacement,
+    ShapeSet,
+    Spheres,
+    body_color,
+    surface_color,
+)
 from warpcontact.kernels import shapes
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.base import Shape as Form

@@ -9,8 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.algebra.vectors import transform_points
-from warpcontact.drawing.drawing import Drawing, Figure
-from warpcontact.drawing.triangles import ball
+from warpcontact.drawing.drawing import Drawing, Figure, ball
 from warpcontact.kernels.rendering.world import SPHERE, visibility
 from warpcontact.system.launches import launch_kernel
 from warpcontact.validation.checks import Array

@@ -13,8 +13,7 @@ from PIL import Image
 
 from warpcontact.building.scene import Scene
 from warpcontact.drawing.colors import per_environment_number
-from warpcontact.drawing.draw import drawing_of
-from warpcontact.drawing.drawing import Drawing
+from warpcontact.drawing.drawing import Drawing, drawing_of
 from warpcontact.experiment.run import Run
 from warpcontact.files.atomic_files import atomic_file
 from warpcontact.files.picture_file import check_path

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from warpcontact.algebra.vectors import shortest_rotations, transform_points
 from warpcontact.drawing.colors import linear
-from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
-from warpcontact.drawing.triangles import ball
+from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape, ball
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, MESH, SPHERE, World
 from warpcontact.validation.checks import Array
 

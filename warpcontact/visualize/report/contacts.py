@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from warpcontact.drawing.decimation import kept_samples
+from warpcontact.drawing.reduction import kept_samples
 from warpcontact.scene.contact_coupling import CouplingReport
 from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import count, number, quantity, several

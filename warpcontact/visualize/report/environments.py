@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.drawing.equal_items import merged_items
+from warpcontact.drawing.reduction import merged_items
 from warpcontact.model.flags import words_of
 from warpcontact.model.health import Health
 from warpcontact.scene.status import FailureCause

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.drawing.drawing import Shape
-from warpcontact.drawing.triangles import ball
+from warpcontact.drawing.drawing import Shape, ball
 from warpcontact.meshes import icosphere
 from warpcontact.validation.checks import Array
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from warpcontact.building.scene import Scene
 from warpcontact.drawing.colors import GAPS
-from warpcontact.drawing.decimation import evenly, kept_samples
-from warpcontact.drawing.draw import drawing_of
-from warpcontact.drawing.drawing import Drawing, Shape
+from warpcontact.drawing.drawing import Drawing, Shape, drawing_of
+from warpcontact.drawing.reduction import evenly, kept_samples
 from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import count
 from warpcontact.visualize.report.markup import Markup, element, joined, short

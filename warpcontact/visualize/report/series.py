@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from warpcontact.analysis.fan import quantile_fan
 from warpcontact.analysis.results import frozen
-from warpcontact.drawing.decimation import evenly, kept_samples
+from warpcontact.drawing.reduction import evenly, kept_samples
 from warpcontact.experiment.curves import (
     VALUES,
     Extreme,

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.drawing.draw import drawing_of
-from warpcontact.drawing.drawing import Drawing
+from warpcontact.drawing.drawing import Drawing, drawing_of
 from warpcontact.experiment.observation import default_sensors
 from warpcontact.model.environments import Environments
 from warpcontact.scene.status import FailureCause

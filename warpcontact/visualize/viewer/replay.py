@@ -12,8 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.building.scene import Scene
-from warpcontact.drawing.draw import drawing_of
-from warpcontact.drawing.drawing import Drawing
+from warpcontact.drawing.drawing import Drawing, drawing_of
 from warpcontact.experiment.folder import SUMMARY
 from warpcontact.experiment.progress import run_status
 from warpcontact.experiment.records import COMMITS

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.drawing.equal_items import merged_items
+from warpcontact.drawing.reduction import merged_items
 from warpcontact.model.environments import Environments
 from warpcontact.validation.checks import Array
 

@@ -1,13 +1,49 @@
-"""Decimation of curves for pictures and pages: fewer samples, the same extremes and the same gaps.
+"""Fewer numbers for pictures, tables and pages: decimated curves, and merged items of sets.
 
-``kept_samples`` divides the samples into buckets and keeps the smallest and the largest value of each, so that a
-peak of a single sample stays at its time and height. Reports and pictures use it.
+``kept_samples`` divides the samples of a curve into buckets and keeps the smallest and the largest value of each, so that
+a peak of a single sample stays at its time and height, and gaps stay gaps. ``merged_items`` merges the items of a set if
+they are equal.
 """
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.validation.checks import Array
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Size of the blocks of environments in which values are compared [bytes].
+BLOCK = 32 * 2**20
+
+
+def item_dimensions(array: "xr.DataArray") -> list[str]:
+    """Returns the item dimensions of an array, named by ``recorder.item_dimension``."""
+    return [dim for dim in map(str, array.dims) if dim == "item" or dim.endswith(".item")]
+
+
+def merged_items(array: "xr.DataArray") -> "xr.DataArray":
+    """Returns an array without its item dimension if the items are equal in every environment, otherwise unchanged.
+
+    NaN equals NaN. Stored arrays are read in blocks of environments, up to the first difference.
+
+    Args:
+        array: A parameter (env, …), or that of one environment (…).
+    """
+    dims = item_dimensions(array)
+    if not dims:
+        return array
+    envs = array.sizes.get("env", 1)
+    step = max(1, min(envs, BLOCK * envs // max(1, array.nbytes)))
+    for start in range(0, envs, step):
+        block = array.isel({"env": slice(start, start + step)}, missing_dims="ignore").transpose(*dims, ...)
+        values = block.values
+        first = values[(slice(0, 1),) * len(dims)]
+        if not ((values == first) | ((values != values) & (first != first))).all():  # NaN is NaN
+            return array
+    return array.isel(dict.fromkeys(dims, 0), drop=True)
 
 
 def evenly(size: int, most: int) -> NDArray[np.intp]:
