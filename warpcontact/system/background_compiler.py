@@ -1,6 +1,6 @@
 """Compiles release builds of kernels for a CPU in other processes, while this process takes steps.
 
-``request`` returns at once. Threads of this process generate the source of each kernel, pass it to a process that runs
+``request`` returns immediately. Threads of this process generate the source of each kernel, pass it to a process that runs
 ``compile_process.py``, and load the result. Processes run at normal priority, because steps with quick builds take
 several times longer. They end with their jobs. At the exit of this process, kernels being compiled are completed by
 their processes, at low priority, so that the next process finds them.

@@ -1,4 +1,4 @@
-"""What a stage shows over time besides poses: force arrows, curves of couplings, sets of bodies, and sensors."""
+"""Data of a stage over time besides poses: force arrows, curves of couplings, sets of bodies, and sensors."""
 
 import math
 from typing import Any
