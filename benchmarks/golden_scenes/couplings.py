@@ -151,6 +151,7 @@ def contact_coupling(names: Names) -> Plan:
         every=40,
         values={"block.linear_velocity": spread((0.3, 0.1, -0.5), (0.3, 0.1, -1.5)), "keep.k1": spread(8e5, 2e6)},
         record=[*wanted, "keep_first.friction_force"],
+        options={"deterministic": True},  # a GPU otherwise sums the contacts of a surface by atomics
         touches=["keep.force", "apart.force", "keep.effective_area"],
         numbers=False,  # a minimum distance is NaN before the surfaces come into range
     )
