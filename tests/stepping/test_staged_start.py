@@ -122,6 +122,7 @@ def test_builds_are_requested_after_the_first_chunk_and_those_of_steps_first(com
     sim.step()
     assert not compiler.requests
     explanation = str(sim.explain())
+    assert explanation.endswith("present steps use quick builds of kernels")
     assert "kernels of a step: fused_steps\n  until these are compiled: add_travel, closest_point" in explanation
     sim.step()
     for_steps, others = compiler.requests
@@ -131,6 +132,7 @@ def test_builds_are_requested_after_the_first_chunk_and_those_of_steps_first(com
     compiler.finish()
     sim.step()
     assert "background" not in str(sim.explain())
+    assert "quick" not in str(sim.explain())
 
 
 def test_compiled_kernels_are_used_at_once(compiler, monkeypatch):

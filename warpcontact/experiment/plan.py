@@ -135,7 +135,8 @@ def estimate_time(draft: ModelPlan, settings: Settings, design: Design, max_envs
     simulation = make_simulation(model, settings)
     simulation.warned_at_start = True
     steps, _ = recorded_steps(settings.duration, settings.record.every, settings.dt)
-    simulation.step()  # compiles the kernels
+    simulation.compile()
+    simulation.step()
     simulation.reset()
     done = 0
     start = time.perf_counter()

@@ -49,17 +49,21 @@ class StepExplanation:
 
     Attributes:
         parts: One explanation per part of the model.
+        uses_quick_builds: Whether present steps use quick builds of kernels, which run slower.
         compiled: Number of kernels that were compiled in the background.
         requested: Number of kernels to compile in the background. 0: all kernels have release builds, or steps were
             not prepared yet.
     """
 
     parts: tuple[PartExplanation, ...]
+    uses_quick_builds: bool = False
     compiled: int = 0
     requested: int = 0
 
     def __str__(self) -> str:
         lines = list(map(str, self.parts))
+        if self.uses_quick_builds:
+            lines.append("present steps use quick builds of kernels")
         if self.requested:
             lines.append(f"compiled in the background: {self.compiled} of {self.requested} kernels")
         return "\n".join(lines)

@@ -33,7 +33,7 @@ class StagedStart:
 
     def __init__(self, launch_shape: str, threads: int) -> None:
         self.fastest_shape = self._selected = launch_shape
-        self.is_over = False
+        self.is_over = self._is_loaded = False
         self._threads = threads
         # Kernels whose release builds are missing: those of steps, and those of steps and frames.
         self._missing: tuple[list[wp.Kernel], list[wp.Kernel]] = ([], [])
@@ -41,6 +41,11 @@ class StagedStart:
         # Requests for release builds: that of the kernels of a step, and those of others.
         self._for_steps: CompileRequest | None = None
         self._for_others: list[CompileRequest] = []
+
+    @property
+    def uses_quick_builds(self) -> bool:
+        """Whether present steps use quick builds of kernels."""
+        return self._is_loaded and not self.is_over
 
     @property
     def requested(self) -> int:
@@ -55,6 +60,7 @@ class StagedStart:
     def load(self, kernels: KernelLists) -> None:
         """Loads builds of all kernels of steps and frames, and requests the release builds that are missing."""
         cpu = wp.get_device("cpu")
+        self._is_loaded = True
         steps, every = kernels(self._selected)
         waits = self._selected != AUTO or not starts_quick(cpu)
         if waits or all(map(is_compiled, every)):

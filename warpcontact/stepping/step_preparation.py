@@ -60,7 +60,8 @@ class StepPreparation:
             on_cpu = threads if part.device.is_cpu else 0
             explanation = PartExplanation(str(part.device), part.envs, len(slices), on_cpu, *final, *now)
             parts.append(explanation)
-        return StepExplanation(tuple(parts), self._start.compiled, self._start.requested)
+        start = self._start
+        return StepExplanation(tuple(parts), start.uses_quick_builds, start.compiled, start.requested)
 
     def load_kernels(self, recorded_needs: Sequence[Set[str]]) -> None:
         """Loads the kernels of steps and frames on the CPU: quick builds of those without a release build.
@@ -72,13 +73,14 @@ class StepPreparation:
         if not missing or not any(device.is_cpu for device in self._model.devices):
             return
 
+        @shared_capture_lock()
         def kernels(shape: str) -> tuple[list[wp.Kernel], list[wp.Kernel]]:
             steppers = self._kernel_listers(shape)
             steps = [kernel for _, stepper in steppers for kernel in stepper.step_launches]
             return steps, [kernel for pair in steppers for kernel in step_kernels(*pair, list(missing))]
 
-        with shared_capture_lock():
-            self._start.load(kernels)
+        # Compiling allocates no memory of Warp, so other threads can capture graphs in the meantime.
+        self._start.load(kernels)
         self._loaded_needs |= missing
 
     def load_release_builds(self) -> bool:
