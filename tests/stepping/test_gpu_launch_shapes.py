@@ -166,7 +166,7 @@ def benchmark_scenes():
     """Returns the benchmark scenes by name."""
     name = "benchmarks_scenes"
     if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, BENCHMARKS / "scenes.py")
+        spec = importlib.util.spec_from_file_location(name, BENCHMARKS / "benchmark_scenes.py")
         sys.modules[name] = module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
     return sys.modules[name].SCENES
