@@ -263,12 +263,12 @@ def send_signal_at_stage(number, stage):
     return f"""
 import os
 from warpcontact.cli import commands
-print_stage = commands._print_stage
+print_stage = commands.print_stage
 def saying(text):
     print_stage(text)
     if text.startswith({stage!r}):
         os.kill(os.getpid(), {int(number)})
-commands._print_stage = saying
+commands.print_stage = saying
 """
 
 

@@ -263,7 +263,6 @@ USERS = (
     "visualize/report",
     "visualize/viewer/replay.py",
     "cli/commands.py",
-    "cli/report.py",
     "cli/run_folders.py",
     "files/direct_io.py",
     "files/picture_file.py",

@@ -28,6 +28,7 @@ def add_to(commands: Any) -> None:
     )
     bench.add_argument("--precision", default="float32", metavar="P", help="float32 or float64 (default: float32)")
     bench.add_argument("--json", metavar="FILE", help="write the results into a JSON file as well")
+    bench.set_defaults(work=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -39,9 +40,6 @@ def run(arguments: argparse.Namespace) -> None:
     """
     if arguments.json:
         check_writable(Path(arguments.json))
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
     from warpcontact.benchmark import bench
 
     try:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpcontact.cli.trust_option import add_option
+from warpcontact.cli.common import add_trust_option, device_of, print_stage
 
 if TYPE_CHECKING:
     from warpcontact.experiment import Experiment
@@ -43,7 +43,8 @@ def add_to(commands: Any) -> None:
         help="print only the key, and compile nothing: it changes with the source code, the experiments, the "
         "versions, the compiler options and the machine",
     )
-    add_option(parser)
+    add_trust_option(parser)
+    parser.set_defaults(work=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -62,15 +63,13 @@ def run(arguments: argparse.Namespace) -> None:
         if not file.is_file():
             wrong = "is not a regular file" if file.exists() else "there is no such file"
             raise ValueError(f"{file}: {wrong}")
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
     folder = writable_cache()
+    from warpcontact.model.quarantine import QuarantineError
     from warpcontact.system.cache_key import cache_key
     from warpcontact.system.devices import find_devices
     from warpcontact.system.kernel_builds import release_builds_only
 
-    device = arguments.device.split(",") if "," in arguments.device else arguments.device
+    device = device_of(arguments)
     try:
         find_devices(device)
     except ValueError as error:
@@ -81,10 +80,13 @@ def run(arguments: argparse.Namespace) -> None:
         return
     with warnings.catch_warnings(), release_builds_only():
         warnings.simplefilter("ignore")  # A run reports them.
-        if files:
-            _build_experiments(files, arguments, device)
-        else:
-            _build_bench(arguments, device)
+        try:
+            if files:
+                _build_experiments(files, arguments, device)
+            else:
+                _build_bench(arguments, device)
+        except QuarantineError as error:
+            raise ValueError(str(error)) from None
     print(f"cache: {folder}")
     print(f"key: {key}")
 
@@ -111,18 +113,18 @@ def _build_experiments(files: Sequence[Path], arguments: argparse.Namespace, dev
     from warpcontact.cli.kernel_build import ExperimentKernels, load_kernels
 
     found = [ExperimentKernels(_experiment(file, arguments), device) for file in files]
-    _print_stage("compiling")
+    print_stage("compiling")
     load_kernels([kernel for one in found for kernel in one.on_cpu], arguments.threads, _print_progress)
     for file, one in zip(files, found, strict=True):
-        _print_stage(f"{file}: first steps")
+        print_stage(f"{file}: first steps")
         one.load_others()
 
 
 def _experiment(file: Path, arguments: argparse.Namespace) -> "Experiment":
     from warpcontact.experiment import Experiment, ExperimentError
 
-    _print_stage(f"reading {file}")
-    experiment = Experiment.from_toml(file, on_stage=_print_stage, trust=arguments.trust)
+    print_stage(f"reading {file}")
+    experiment = Experiment.from_toml(file, on_stage=print_stage, trust=arguments.trust)
     try:
         return experiment.changed(envs=arguments.envs)
     except ExperimentError as error:
@@ -134,13 +136,9 @@ def _build_bench(arguments: argparse.Namespace, device: str | Sequence[str]) -> 
 
     if not isinstance(device, str):
         raise ValueError(f"--device {arguments.device}: must be a single device without an experiment")
-    _print_stage("compiling the kernels of warpcontact bench")
+    print_stage("compiling the kernels of warpcontact bench")
     build_bench(device, arguments.envs, arguments.threads, _print_progress)
 
 
 def _print_progress(done: int, total: int) -> None:
     print(f"  {done} of {total} kernels", file=sys.stderr, flush=True)
-
-
-def _print_stage(stage: str) -> None:
-    print(f"{stage} …", file=sys.stderr, flush=True)

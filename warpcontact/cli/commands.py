@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpcontact import __version__
 from warpcontact.cli import bench, build_kernels, laws, render, run_folders, view
-from warpcontact.cli import report as report_command
-from warpcontact.cli.trust_option import add_option
+from warpcontact.cli.common import add_trust_option, device_of, print_stage
 from warpcontact.system.process import terminate_as_interrupt
 from warpcontact.validation.safe_text import escape_output
 
@@ -70,6 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Contact dynamics on oriented triangle meshes, thousands of environments at once.",
     )
     parser.add_argument("--version", action="version", version=f"warpcontact {__version__}")
+    parser.set_defaults(command=_work)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     run = commands.add_parser("run", help="run an experiment file", description="Run an experiment file.")
@@ -138,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
             metavar="N",
             help="maximum number of environments per shard, which are committed together (default: as many as fit)",
         )
-        add_option(command)
+        add_trust_option(command)
 
     inspect = commands.add_parser(
         "inspect", help="report on a mesh file", description="Report on a mesh file. Exit code 1: unusable."
@@ -183,21 +183,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     inspect.set_defaults(command=_inspect)
 
-    laws.add_to(commands)
-    commands.choices["laws"].set_defaults(command=_laws)
-    bench.add_to(commands)
-    commands.choices["bench"].set_defaults(command=_bench)
-    build_kernels.add_to(commands)
-    commands.choices["build-kernels"].set_defaults(command=_build_kernels)
-    render.add_to(commands)
-    commands.choices["render"].set_defaults(command=_folder_command, work=render.run)
-    run_folders.add_to(commands)
-    commands.choices["status"].set_defaults(command=_folder_command, work=run_folders.status)
-    commands.choices["export"].set_defaults(command=_folder_command, work=run_folders.export)
-    report_command.add_to(commands)
-    commands.choices["report"].set_defaults(command=_folder_command, work=report_command.run)
-    view.add_to(commands)
-    commands.choices["view"].set_defaults(command=_folder_command, work=view.run)
+    for module in (laws, bench, build_kernels, render, run_folders, view):
+        module.add_to(commands)
     return parser
 
 
@@ -283,14 +270,14 @@ def _run_experiment(arguments: argparse.Namespace, context: _RunContext) -> int:
             warnings.filterwarnings("ignore", message=".* and are frozen", category=RuntimeWarning)
             result = experiment.run(
                 folder,
-                device=_device(arguments),
+                device=device_of(arguments),
                 overwrite=arguments.overwrite,
                 resume=arguments.resume,
                 ray=arguments.ray,
                 shard=arguments.shard,
                 threads=arguments.threads,
                 checkpoint=arguments.checkpoint,
-                on_stage=_print_stage,
+                on_stage=print_stage,
                 on_warning=warn,
             )
     except (ExperimentError, RunDataError, QuarantineError) as error:
@@ -324,7 +311,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     try:
         experiment = _experiment(arguments)
         with _name_option(arguments, experiment):
-            plan = experiment.plan(device=_device(arguments), shard=arguments.shard, out=_results(arguments))
+            plan = experiment.plan(device=device_of(arguments), shard=arguments.shard, out=_results(arguments))
     except ExperimentError as error:
         return _fail(str(error))
     except MemoryShortage as error:
@@ -332,11 +319,11 @@ def _plan(arguments: argparse.Namespace) -> int:
         return FAILED
     print(plan, flush=True)
     if plan.shard and arguments.probe:
-        _print_stage("measuring")
+        print_stage("measuring")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a run gives them
             try:
-                print(experiment.probe(device=_device(arguments), shard=plan.shard))
+                print(experiment.probe(device=device_of(arguments), shard=plan.shard))
             except QuarantineError as error:
                 return _fail(str(error))
     return 0 if plan.shard else FAILED
@@ -346,9 +333,9 @@ def _experiment(arguments: argparse.Namespace) -> "Experiment":
     """Reads the experiment of a command and applies its options."""
     from warpcontact.experiment import Experiment
 
-    _print_stage(f"reading {arguments.file}")
+    print_stage(f"reading {arguments.file}")
     experiment = Experiment.from_toml(
-        arguments.file, changes=arguments.set, on_stage=_print_stage, trust=arguments.trust
+        arguments.file, changes=arguments.set, on_stage=print_stage, trust=arguments.trust
     )
     for option in ("envs", "duration"):
         value = getattr(arguments, option)
@@ -365,16 +352,6 @@ def _results(arguments: argparse.Namespace) -> Path:
         return Path(arguments.out)
     name = str(read_content(Path(arguments.file), arguments.set)["name"])
     return Path("results", re.sub(r"[^\w.-]+", "_", name).strip("._") or "experiment")
-
-
-def _device(arguments: argparse.Namespace) -> str | list[str]:
-    """Returns the device of a command, or a list of devices."""
-    name: str = arguments.device
-    return name.split(",") if "," in name else name
-
-
-def _print_stage(stage: str) -> None:
-    print(f"{stage} …", file=sys.stderr, flush=True)
 
 
 def _name_option(arguments: argparse.Namespace, experiment: "Experiment") -> AbstractContextManager[None]:
@@ -432,15 +409,8 @@ def _inspect(arguments: argparse.Namespace) -> int:
     return 0 if report.usable else FAILED
 
 
-def _laws(arguments: argparse.Namespace) -> int:
-    try:
-        laws.run(arguments)
-    except ValueError as error:
-        return _fail(str(error))
-    return 0
-
-
-def _folder_command(arguments: argparse.Namespace) -> int:
+def _work(arguments: argparse.Namespace) -> int:
+    """Calls the function ``work`` of a command of another module."""
     import warp as wp
 
     # Keep standard output free of messages about kernels and devices.
@@ -449,21 +419,3 @@ def _folder_command(arguments: argparse.Namespace) -> int:
         return arguments.work(arguments) or 0
     except ValueError as error:
         return _fail(str(error))
-
-
-def _bench(arguments: argparse.Namespace) -> int:
-    try:
-        bench.run(arguments)
-    except ValueError as error:
-        return _fail(str(error))
-    return 0
-
-
-def _build_kernels(arguments: argparse.Namespace) -> int:
-    from warpcontact.model.quarantine import QuarantineError
-
-    try:
-        build_kernels.run(arguments)
-    except (ValueError, QuarantineError) as error:
-        return _fail(str(error))
-    return 0

@@ -54,6 +54,7 @@ def add_to(commands: Any) -> None:
         help="penetration without damping for which stiffnesses are chosen (default: 0.001, or that of a given one)",
     )
     laws.add_argument("--load", metavar="N", type=float, help="normal force for friction models (default: 10)")
+    laws.set_defaults(work=run)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,9 +72,6 @@ def run(arguments: argparse.Namespace) -> None:
     Raises:
         ValueError: If options cannot be combined, or a name, a value or the file is not allowed.
     """
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
     from warpcontact.cli import law_list
 
     options = {name: getattr(arguments, name) for name in (*OF_LAWS, *OF_FRICTIONS)}

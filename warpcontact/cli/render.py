@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from warpcontact.cli.trust_option import add_option
+from warpcontact.cli.common import add_trust_option
 
 STILLS = (".png",)
 FILMS = (".gif", ".mp4")
@@ -108,7 +108,8 @@ def add_to(commands: Any) -> None:
         "--device", default="auto", metavar="D", help="cpu, cuda:0, … (default: auto, a GPU if any)"
     )
     render.add_argument("--threads", type=int, metavar="N", help="threads on the CPU (default: one per core)")
-    add_option(render)
+    add_trust_option(render)
+    render.set_defaults(work=run)
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -1,11 +1,11 @@
-"""The commands ``status`` and ``export``: progress and results of a run."""
+"""The commands ``status``, ``export`` and ``report``: progress and results of a run."""
 
 import argparse
 import sys
 from pathlib import Path
 from typing import Any
 
-from warpcontact.cli.trust_option import add_option
+from warpcontact.cli.common import add_trust_option
 
 # Default number of environments in an animation.
 ANIMATED = 16
@@ -23,6 +23,7 @@ def add_to(commands: Any) -> None:
     status.add_argument(
         "--verify", action="store_true", help="read all results and compare them with the committed checksums"
     )
+    status.set_defaults(work=print_status)
     export = commands.add_parser(
         "export",
         help="results of a run as a table or an animation",
@@ -59,10 +60,12 @@ def add_to(commands: Any) -> None:
         type=float,
         help="distances between the environments of the animation on a grid [m] (default: 0)",
     )
-    add_option(export)
+    add_trust_option(export)
+    export.set_defaults(work=export_results)
+    _add_report(commands)
 
 
-def status(arguments: argparse.Namespace) -> int:
+def print_status(arguments: argparse.Namespace) -> int:
     """Prints the progress of a run; returns 1 if results differ from the committed ones.
 
     Raises:
@@ -88,7 +91,7 @@ def status(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def export(arguments: argparse.Namespace) -> None:
+def export_results(arguments: argparse.Namespace) -> None:
     """Writes a table or an animation of a run.
 
     Raises:
@@ -153,3 +156,38 @@ def export(arguments: argparse.Namespace) -> None:
             spacing=arguments.spacing or (0.0, 0.0),
         )
     print(file)
+
+
+def _add_report(commands: Any) -> None:
+    """Adds the command ``report`` and its options to the parsers of all commands."""
+    parser = commands.add_parser(
+        "report",
+        help="HTML report of a run: outcomes, curves, a table, a replay in 3D",
+        description="Write a report of a run as one self-contained HTML file.",
+    )
+    parser.add_argument("folder", metavar="DIR", help="folder of the run, finished or not")
+    parser.add_argument(
+        "-o", "--out", dest="file", metavar="FILE", help="the .html file (default: report.html in the folder)"
+    )
+    parser.add_argument(
+        "--envs",
+        metavar="N",
+        nargs="+",
+        type=int,
+        help="environments that are shown individually (default: the first 16, some failed ones, and those with the "
+        "smallest and largest outcomes, as far as they fit)",
+    )
+    add_trust_option(parser)
+    parser.set_defaults(work=write_report)
+
+
+def write_report(arguments: argparse.Namespace) -> None:
+    """Writes the report.
+
+    Raises:
+        ValueError: If the folder holds no valid run, or an option is not allowed.
+        OSError: If the file cannot be written.
+    """
+    from warpcontact.visualize.report import report
+
+    print(report(arguments.folder, arguments.file, envs=arguments.envs, trust=arguments.trust))

@@ -6,7 +6,7 @@ import sys
 import warnings
 from typing import Any
 
-from warpcontact.cli.trust_option import add_option
+from warpcontact.cli.common import add_trust_option, device_of
 
 
 def add_to(commands: Any) -> None:
@@ -33,7 +33,8 @@ def add_to(commands: Any) -> None:
         "--envs", type=int, metavar="N", help="environments of an experiment (default: as in the file, at most 16)"
     )
     view.add_argument("--device", default="auto", metavar="D", help="device of an experiment (default: auto)")
-    add_option(view)
+    add_trust_option(view)
+    view.set_defaults(work=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -45,7 +46,6 @@ def run(arguments: argparse.Namespace) -> None:
     """
     from warpcontact.visualize.viewer import view
 
-    device = arguments.device.split(",") if "," in arguments.device else arguments.device
     print(f"reading {arguments.target} …", file=sys.stderr, flush=True)
     try:
         with warnings.catch_warnings():
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> None:
                 open_browser=False,
                 speed=arguments.speed,
                 envs=arguments.envs,
-                device=device,
+                device=device_of(arguments),
                 trust=arguments.trust,
             )
     except ImportError as error:
