@@ -135,7 +135,7 @@ def draw(picture: Path) -> None:
             )
             text = textwrap.shorten(purpose(folder, name), int(CHARACTERS * width), placeholder=" …")
             axes.text(center, height - 0.1, text, ha="center", va="center", fontsize=7.5, zorder=3)
-            for target in reduced(edges).get(name, ()):
+            for target in sorted(reduced(edges).get(name, ())):
                 ends = (center, height - 0.5 * HEIGHT), (place[target][0], place[target][1] + 0.5 * HEIGHT)
                 arrow = FancyArrowPatch(
                     *ends, arrowstyle="-|>", mutation_scale=8, color=LINE, shrinkA=0, shrinkB=0
