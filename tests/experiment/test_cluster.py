@@ -108,7 +108,7 @@ def test_shard_of_killed_worker_is_run_again(tmp_path):
     assert code == 0, err
     again = [line for line in warnings_of(out) if "is retried" in line]
     assert len(again) == 1, again
-    assert again[0].startswith(f"shard_{shard:06d} is retried: its worker was lost: ")
+    assert again[0].startswith(f"note: shard_{shard:06d} is retried: its worker was lost: ")
     assert again[0] in err
     now = sharded_runs.records(out)
     assert all(now[number] == record for number, record in others.items())
@@ -124,9 +124,9 @@ def test_shard_failing_three_times_on_cluster_is_reported_and_others_finish(stud
     path, out = sharded_runs.overflowing_study(tmp_path), tmp_path / "out"
     code, printed, err = sharded_runs.run(path, "--out", out, "--ray", "--shard", 2)
     assert code == 3, err
-    assert "shard_000001 failed: RuntimeError: pile: a shape had" in printed
+    assert "shard_000001 failed: RuntimeError: pile: a particle had" in printed
     assert "failed: 4 of 6 environments are finished in 3 shards" in printed
-    assert err.count("note: shard_000001 is retried: RuntimeError: pile: a shape had") == 1
+    assert err.count("note: shard_000001 is retried: RuntimeError: pile: a particle had") == 1
     assert wc.open_run(out, verify=True).outcome["env"].values.tolist() == [0, 1, 4, 5]
 
 
@@ -282,7 +282,10 @@ def test_cluster_with_memory_for_one_shard_runs_shards_sequentially(study_folder
     out = tmp_path / "out"
     code, _, err = sharded_runs.run(study_folder / "study.toml", "--out", out, "--ray", *WORDS, first=little)
     assert code == 0, err
-    assert "running 1 at once, and not 2, for want of memory: a shard of 4 environments, with Python" in err
+    assert (
+        "running 1 shards concurrently instead of 2, limited by memory: a shard of 4 environments, with Python"
+        in err
+    )
     assert sharded_runs.hashes(out) == sharded_runs.hashes(study_folder / "whole")
     none = little.replace("0.9e9", "0.2e9")
     code, _, err = sharded_runs.run(

@@ -386,9 +386,9 @@ def test_shard_failing_three_times_is_reported_and_others_finish(tmp_path):
     for options in (["--shard", 2], ["--resume"]):
         code, printed, err = sharded_runs.run(path, "--out", out, "--device", "cpu", *options)
         assert code == 3, err
-        assert "shard_000001 failed: RuntimeError: pile: a shape had" in printed
+        assert "shard_000001 failed: RuntimeError: pile: a particle had" in printed
         assert "failed: 4 of 6 environments are finished in 3 shards" in printed
-        assert err.count("note: shard_000001 is retried: pile: a shape had") == 1
+        assert err.count("note: shard_000001 is retried: pile: a particle had") == 1
         assert "Traceback" not in err
         run = wc.open_run(out, verify=True)
         assert run.summary["state"] == "failed"
