@@ -95,6 +95,14 @@ def test_every_source_path_in_the_pages_exists():
     assert missing == []
 
 
+@pytest.mark.parametrize("script", ["run", "thorough", "gpu"])
+def test_every_file_that_a_check_runs_exists(script):
+    text = (ROOT / ".ci" / script).read_text("utf-8")
+    assert [
+        path for path in re.findall(r"(?:tests|examples)/[\w/.]+\.\w+", text) if not (ROOT / path).exists()
+    ] == []
+
+
 def test_package_drawing_shows_the_present_imports(monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS))
     drawn = html.unescape((DOCS / "images" / "packages.svg").read_text("utf-8"))
