@@ -11,7 +11,7 @@ imported:
 
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import warp as wp
@@ -43,9 +43,21 @@ QUICK_OPTIONS: dict[str, Any] = {
 }
 OPTIONS = QUICK_OPTIONS if QUICK else RELEASE_OPTIONS
 
-# Function and further options of each kernel that has a quick build, and the quick builds that were made.
-_SOURCES: WeakKeyDictionary[wp.Kernel, tuple[Callable[..., Any], dict[str, Any]]] = WeakKeyDictionary()
+
+class _Source(NamedTuple):
+    """What a kernel was made of."""
+
+    function: Callable[..., Any]
+    options: dict[str, Any]  # of the module, without those of a build
+    registers: int | None  # maximum number of registers per GPU thread
+    only_quick: bool  # whether the kernel itself is a quick build
+
+
+# Sources of the kernels, and the further builds that were made of them. A module has the options of one build, and they
+# do not change: Warp identifies a compiled module by them.
+_SOURCES: WeakKeyDictionary[wp.Kernel, _Source] = WeakKeyDictionary()
 _QUICK_BUILDS: WeakKeyDictionary[wp.Kernel, wp.Kernel] = WeakKeyDictionary()
+_GPU_BUILDS: WeakKeyDictionary[wp.Kernel, wp.Kernel] = WeakKeyDictionary()
 
 
 def unique_kernel(
@@ -77,8 +89,7 @@ def unique_kernel(
             module_options=build | options,
             cuda_max_registers=registers,
         )
-        if not only_quick:
-            _SOURCES[kernel] = function, options
+        _SOURCES[kernel] = _Source(function, options, registers, only_quick)
         return kernel
 
     return make
@@ -86,11 +97,34 @@ def unique_kernel(
 
 def quick_build(kernel: wp.Kernel) -> wp.Kernel:
     """Returns the quick build of a kernel for a CPU; ``kernel`` itself if it has no other build."""
-    if kernel not in _SOURCES:
+    source = _SOURCES.get(kernel)
+    if source is None or source.only_quick:
         return kernel
     if kernel not in _QUICK_BUILDS:
-        function, options = _SOURCES[kernel]
         _QUICK_BUILDS[kernel] = wp.kernel(
-            function, module="unique", enable_backward=False, module_options=QUICK_OPTIONS | options
+            source.function, module="unique", enable_backward=False, module_options=QUICK_OPTIONS | source.options
         )
     return _QUICK_BUILDS[kernel]
+
+
+def gpu_build(kernel: wp.Kernel) -> wp.Kernel:
+    """Returns the build of a kernel for steps on a GPU, without contraction to FMA (fused multiply-add).
+
+    With contraction, the rounding of a sum of two products depends on neighboring code of the kernel. On a CPU, it
+    depends on the expression alone, and contraction saves time.
+    """
+    source = _SOURCES.get(kernel)
+    if source is None:
+        # Through Warp's function, because setting the entry would not clear cached hashes of the module.
+        if kernel.module.options["fuse_fp"]:
+            wp.set_module_options({"fuse_fp": False}, kernel.module)
+        return kernel
+    if kernel not in _GPU_BUILDS:
+        _GPU_BUILDS[kernel] = wp.kernel(
+            source.function,
+            module="unique",
+            enable_backward=False,
+            module_options=OPTIONS | source.options | {"fuse_fp": False},
+            cuda_max_registers=source.registers,
+        )
+    return _GPU_BUILDS[kernel]

@@ -22,28 +22,30 @@ from warpcontact.forces.couplings import springs
 from warpcontact.forces.joints import joint_data
 from warpcontact.forces.shape_contact import contact_sets
 from warpcontact.stepping import staged_start
-from warpcontact.system.compilation import disable_fma, load_all
+from warpcontact.system.compilation import load_all
+from warpcontact.system.kernel_builds import current_build
 
-CPU = SimpleNamespace(is_cuda=False)
+CPU = SimpleNamespace(is_cuda=False, is_cpu=True)
 
 
 @pytest.mark.parametrize("threads", [1, 64, 256])
 def test_fma_is_disabled_on_gpu_only(threads):
-    module = semi_implicit.semi_implicit_euler(wp.float32).module
-    gpu, cpu = (SimpleNamespace(is_cuda=is_cuda) for is_cuda in (True, False))
-    of_cpu = module.get_module_hash(threads)
-    disable_fma(SimpleNamespace(module=module), gpu)
-    assert not module.resolve_options(wp.config, threads)["fuse_fp"]
-    of_gpu = module.get_module_hash(threads)
-    disable_fma(SimpleNamespace(module=module), cpu)
-    assert of_gpu != of_cpu == module.get_module_hash(threads)
+    kernel = semi_implicit.semi_implicit_euler(wp.float32)
+    of_cpu = kernel.module.get_module_hash(threads)
+    build = current_build(kernel, SimpleNamespace(is_cuda=True, is_cpu=False))
+    assert not build.module.resolve_options(wp.config, threads)["fuse_fp"]
+    assert build.module.get_module_hash(threads) != of_cpu
+    # The options of a build do not change, because processes in the background compile it.
+    assert kernel.module.resolve_options(wp.config, threads)["fuse_fp"]
+    assert kernel.module.get_module_hash(threads) == of_cpu
+    assert build.options.get("cuda_max_registers") == kernel.options.get("cuda_max_registers")
 
 
 class Kernel:
     """A stand-in for a kernel, with a module that ``load`` loads."""
 
     def __init__(self, load):
-        self.module = SimpleNamespace(options={"fuse_fp": True}, load=lambda *_, **__: load())
+        self.module = SimpleNamespace(hashers={}, load=lambda *_, **__: load())
 
 
 def test_kernels_are_compiled_in_parallel():

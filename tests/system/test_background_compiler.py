@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from multiprocessing import spawn
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 
 from warpcontact.system import background_compiler, compile_process
 from warpcontact.system.background_compiler import BackgroundCompiler
+from warpcontact.system.compilation import compile_as_launched
 from warpcontact.system.kernel_builds import is_compiled
 
 # Longest compilation on a busy machine [s].
@@ -40,6 +42,19 @@ def faulty_kernel():
         values[0] = fault(1)
 
     return call_fault
+
+
+ADDED = wp.constant(5)
+
+
+def kernel_with_constant():
+    """Returns a kernel that adds ``ADDED``."""
+
+    @unique_kernel()
+    def add_constant(values: wp.array(dtype=int)):
+        values[wp.tid()] += ADDED
+
+    return add_constant
 
 
 @pytest.fixture(autouse=True)
@@ -87,6 +102,7 @@ def test_compiler_error_is_reported_with_its_message(empty_cache):
     assert "no_such_name" in request.error
     assert is_compiled(valid)
     assert not is_compiled(faulty)
+    assert (request.count, request.compiled) == (2, 1)
     # The error is stored; the kernel is not compiled again.
     assert compiler.request([faulty]).error == request.error
     assert len(list(empty_cache.iterdir())) == 1
@@ -97,14 +113,19 @@ def test_end_of_the_compiler_process_is_reported(code, tmp_path, monkeypatch, em
     script = tmp_path / "ends.py"
     script.write_text(code)
     monkeypatch.setattr(compile_process, "__file__", str(script))
-    request = BackgroundCompiler().request([small_kernel(4), small_kernel(5)])
+    compiler, kernels = BackgroundCompiler(), [small_kernel(4), small_kernel(5)]
+    request = compiler.request(kernels)
     wait_for(lambda: request.is_done)
     assert request.error.count("add: the compiler process ended with code 7") == 2
     assert not list(empty_cache.iterdir())
+    monkeypatch.undo()
+    again = compiler.request(kernels)
+    wait_for(lambda: again.is_done)
+    assert again.error == ""
 
 
 def test_missing_python_executable_is_reported(monkeypatch, empty_cache):
-    monkeypatch.setattr(sys, "executable", None)
+    monkeypatch.setattr(spawn, "get_executable", lambda: None)
     request = BackgroundCompiler().request([small_kernel(6)])
     wait_for(lambda: request.is_done)
     assert request.error == "add: there is no Python executable"
@@ -152,15 +173,71 @@ def test_process_exits_while_kernels_are_compiled(tmp_path):
     assert not list(builds.glob("wp_*_p*_t*"))
 
 
+def test_build_of_a_changed_constant_is_refused(monkeypatch, empty_cache):
+    """The identifier of a build is computed at the first launch, its source later."""
+    kernel = kernel_with_constant()
+    assert not is_compiled(kernel)
+    monkeypatch.setattr(sys.modules[__name__], "ADDED", wp.constant(7))
+    request = BackgroundCompiler().request([kernel])
+    wait_for(lambda: request.is_done)
+    message = "a constant or function that kernel add_constant uses was changed"
+    assert request.error.startswith(f"add_constant: {message}")
+    with pytest.raises(RuntimeError, match=message):
+        compile_as_launched(kernel, wp.get_device("cpu"))
+    assert not list(empty_cache.iterdir())
+    monkeypatch.undo()
+    values = wp.zeros(1, dtype=int, device="cpu")
+    wp.launch(kernel, 1, [values], device="cpu")
+    assert values.numpy() == [5]
+
+
+def test_kernels_of_deleted_requests_are_not_compiled():
+    compiler, kernels = BackgroundCompiler(), [small_kernel(number) for number in range(10, 22)]
+    request = compiler.request(kernels)
+    wait_for(lambda: compiler._processes)
+    del request
+    kept = compiler.request([small_kernel(22)])
+    wait_for(lambda: kept.is_done and not compiler._threads)
+    assert sum(map(is_compiled, kernels)) < len(kernels)
+    assert not compiler._in_progress
+
+
+def test_request_fails_if_no_thread_can_be_started(monkeypatch):
+    def refuse(self):
+        raise RuntimeError("can't start new thread")
+
+    compiler, kernel = BackgroundCompiler(), small_kernel(23)
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refuse)
+        assert compiler.request([kernel]).error == "add: can't start new thread"
+    again = compiler.request([kernel])
+    wait_for(lambda: again.is_done)
+    assert again.error == ""
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_forked_process_has_its_own_compiler():
+def test_forked_process_completes_requests_with_its_own_compiler(monkeypatch):
+    """A thread of the parent process waits for an answer of a compiler process during the fork."""
+    monkeypatch.setattr(background_compiler, "_compiler", BackgroundCompiler())
     before = background_compiler._compiler
+    request = background_compiler.request([small_kernel(number) for number in range(30, 34)])
+    wait_for(lambda: before._processes)
     child = os.fork()
     if child == 0:
-        fresh = background_compiler._compiler is not before and not background_compiler._compiler._threads
-        os._exit(0 if fresh else 1)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        code = 1
+        try:
+            assert background_compiler._compiler is not before
+            background_compiler.resume_after_fork()
+            wait_for(lambda: request.is_done)
+            code = 0 if request.error == "" else 2
+        finally:
+            os._exit(code)
+    wait_for(lambda: request.is_done)
+    assert request.error == ""
+    answers = []
+    wait_for(lambda: answers.append(os.waitpid(child, os.WNOHANG)) or answers[-1][0])
+    assert os.waitstatus_to_exitcode(answers[-1][1]) == 0
     assert background_compiler._compiler is before
 
 

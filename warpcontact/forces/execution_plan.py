@@ -43,7 +43,7 @@ from warpcontact.kernels.narrowphase.closest_point import (
     DETECT_QUERY,
 )
 from warpcontact.kernels.types import LaunchRange
-from warpcontact.system.compilation import build_to_launch
+from warpcontact.system.kernel_builds import current_build
 from warpcontact.system.launches import in_order
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ class ExecutionPlan:
             work.slice = self.slice
         block_dim = block_dim or (SMALL_BLOCK if work.threads <= launch_shape.SMALL_LAUNCH else LARGE_BLOCK)
         values = in_order(kernel, {"launch": work, **inputs})
-        kernel = build_to_launch(kernel, device)
+        kernel = current_build(kernel, device)
         return [wp.launch(kernel, work.threads, values, device=device, record_cmd=True, block_dim=block_dim)]
 
 

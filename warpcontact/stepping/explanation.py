@@ -53,12 +53,14 @@ class StepExplanation:
         compiled: Number of kernels that were compiled in the background.
         requested: Number of kernels to compile in the background. 0: all kernels have release builds, or steps were
             not prepared yet.
+        errors: Kernels that could not be compiled in the background, with reasons; empty if there are none.
     """
 
     parts: tuple[PartExplanation, ...]
     uses_quick_builds: bool = False
     compiled: int = 0
     requested: int = 0
+    errors: str = ""
 
     def __str__(self) -> str:
         lines = list(map(str, self.parts))
@@ -66,4 +68,6 @@ class StepExplanation:
             lines.append("present steps use quick builds of kernels")
         if self.requested:
             lines.append(f"compiled in the background: {self.compiled} of {self.requested} kernels")
+        if self.errors:
+            lines.append(f"not compiled in the background: {self.errors}")
         return "\n".join(lines)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 import warp as wp
 
 from warpcontact.forces.launch_shape import AUTO, STAGED
-from warpcontact.system.background_compiler import CompileRequest, request
+from warpcontact.system.background_compiler import CompileRequest, request, resume_after_fork
 from warpcontact.system.compilation import load_all
 from warpcontact.system.kernel_builds import is_compiled, starts_quick
 from warpcontact.validation.warning_levels import RunWarning, caller_stacklevel
@@ -29,6 +29,7 @@ class StagedStart:
     Attributes:
         fastest_shape: Fastest launch shape to choose at present, see ``ExecutionPlan``.
         is_over: Whether steps use release builds of all their kernels.
+        errors: Kernels that could not be compiled in the background, with reasons; empty if there are none.
     """
 
     def __init__(self, launch_shape: str, threads: int) -> None:
@@ -41,6 +42,8 @@ class StagedStart:
         # Requests for release builds: that of the kernels of a step, and those of others.
         self._for_steps: CompileRequest | None = None
         self._for_others: list[CompileRequest] = []
+        # Why release builds of the last requests are missing.
+        self.errors = ""
 
     @property
     def uses_quick_builds(self) -> bool:
@@ -65,20 +68,20 @@ class StagedStart:
         waits = self._selected != AUTO or not starts_quick(cpu)
         if waits or all(map(is_compiled, every)):
             load_all(every, cpu, self._threads, release=waits)
-            self.is_over = self._for_steps is None
+            self.is_over = not self._for_steps_unfinished
             return
         missing = [kernel for kernel in steps if not is_compiled(kernel)]
         if missing and not self.is_over:
             self.fastest_shape = STAGED
         load_all(kernels(self.fastest_shape)[1], cpu, self._threads)
-        self.is_over = not missing
+        self.is_over = not missing and not self._for_steps_unfinished
         self._missing = missing, [*self._missing[1], *every]
         self._has_stepped = False
 
     def load_release_builds(self, kernels: Iterable[wp.Kernel]) -> None:
         """Compiles release builds of all kernels of steps now, in this process."""
         load_all(kernels, wp.get_device("cpu"), self._threads, release=True)
-        self.fastest_shape, self.is_over, self._for_steps = self._selected, True, None
+        self.fastest_shape, self.is_over, self._for_steps, self.errors = self._selected, True, None, ""
         self._missing = [], self._missing[1]
 
     def take_compiled(self) -> bool:
@@ -94,6 +97,8 @@ class StagedStart:
             self._for_others.append(request(others))
             self._missing = [], []
         self._has_stepped = True
+        if self._for_steps is not None or self._for_others:
+            resume_after_fork()
         done = [one for one in self._requests() if one.is_done]
         if not done:
             return False
@@ -102,13 +107,19 @@ class StagedStart:
                 self.fastest_shape, self.is_over = self._selected, True
             self._for_steps = None
         self._for_others = [one for one in self._for_others if not one.is_done]
-        if errors := "; ".join(dict.fromkeys(one.error for one in done if one.error)):
+        self.errors = "; ".join(dict.fromkeys(one.error for one in done if one.error))
+        if self.errors:
             text = (
-                f"kernels could not be compiled in the background: {errors}. Steps continue with quick builds, which "
+                f"kernels could not be compiled in the background: {self.errors}. Steps continue with quick builds, which "
                 "are several times slower. Simulation.compile() compiles the kernels in this process"
             )
             warnings.warn(RunWarning(text), stacklevel=caller_stacklevel())
         return True
+
+    @property
+    def _for_steps_unfinished(self) -> bool:
+        """Whether present steps do not use the release builds yet, which may be compiled already."""
+        return self._for_steps is not None or self.fastest_shape != self._selected
 
     def _requests(self) -> list[CompileRequest]:
         return [*([] if self._for_steps is None else [self._for_steps]), *self._for_others]

@@ -61,7 +61,9 @@ class StepPreparation:
             explanation = PartExplanation(str(part.device), part.envs, len(slices), on_cpu, *final, *now)
             parts.append(explanation)
         start = self._start
-        return StepExplanation(tuple(parts), start.uses_quick_builds, start.compiled, start.requested)
+        return StepExplanation(
+            tuple(parts), start.uses_quick_builds, start.compiled, start.requested, start.errors
+        )
 
     def load_kernels(self, recorded_needs: Sequence[Set[str]]) -> None:
         """Loads the kernels of steps and frames on the CPU: quick builds of those without a release build.

@@ -23,6 +23,19 @@ def exclusive_capture_lock() -> Iterator[None]:
         yield
 
 
+def lock_captures_for_fork() -> None:
+    """Waits for a capture of another thread to end, so that no process is forked during it."""
+    _condition.acquire()
+
+
+def unlock_captures_after_fork(*, in_child: bool) -> None:
+    """Ends ``lock_captures_for_fork``. In the child process, other threads do not exist and hold no shared lock."""
+    if in_child:
+        own = threading.get_ident()
+        _shared_holders[:] = [holder for holder in _shared_holders if holder == own]
+    _condition.release()
+
+
 @contextmanager
 def shared_capture_lock() -> Iterator[None]:
     """Locks for other uses of Warp: waits for a capture to end, and delays further ones. Also a decorator."""

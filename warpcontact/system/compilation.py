@@ -1,4 +1,4 @@
-"""Compiles kernels: concurrently on a CPU, and on a GPU without FMA (fused multiply-add) contraction."""
+"""Compiles kernels, concurrently on a CPU."""
 
 import threading
 from collections import deque
@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import warp as wp
 
 from warpcontact.system.initialization import explaining, require_room
-from warpcontact.system.kernel_builds import current_build
+from warpcontact.system.kernel_builds import current_build, require_unchanged
 
 # Largest number of compiler threads: each also compiles a header, and few kernels take long.
 MAX_COMPILERS = 4
@@ -21,33 +21,17 @@ _locks: WeakKeyDictionary[wp.Kernel, threading.Lock] = WeakKeyDictionary()
 _locks_lock = threading.Lock()
 
 
-def disable_fma(kernel: wp.Kernel, device: wp.Device) -> None:
-    """Disables FMA contraction of ``kernel`` on a GPU. Must be called before it is loaded there.
-
-    With contraction, the rounding of a sum of two products depends on neighboring code of the kernel. On a CPU, it
-    depends on the expression alone, and contraction saves time.
-    """
-    fma_flag = not device.is_cuda
-    if kernel.module.options["fuse_fp"] != fma_flag:
-        # Through Warp's function, because setting the entry would not clear cached hashes of the module.
-        wp.set_module_options({"fuse_fp": fma_flag}, kernel.module)
-
-
-def build_to_launch(kernel: wp.Kernel, device: wp.Device) -> wp.Kernel:
-    """Returns the build of ``kernel`` to launch on ``device``, with the options of the device."""
-    disable_fma(kernel, device)
-    return current_build(kernel, device)
-
-
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compiles ``kernel`` if it is not in the cache, so that errors in user-defined code are raised here."""
-    compile_as_launched(build_to_launch(kernel, device), device)
+    compile_as_launched(current_build(kernel, device), device)
 
 
 def compile_as_launched(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compiles ``kernel`` if it is not in the cache, for the block size of launches: one thread on a CPU."""
     block_dim = None if device.is_cuda else 1
     with _lock_of(kernel), explaining():
+        if not device.is_cuda:
+            require_unchanged(kernel)
         require_room(lambda: kernel.module.get_module_identifier(block_dim))
         kernel.module.load(device, block_dim=block_dim)
 
@@ -72,7 +56,7 @@ def load_all(
     load_build = compile_as_launched if release else load
 
     def is_in_progress(kernel: wp.Kernel) -> bool:
-        return _lock_of(kernel if release else build_to_launch(kernel, device)).locked()
+        return _lock_of(kernel if release else current_build(kernel, device)).locked()
 
     # Kernels that another thread compiles come last, so that no thread waits for one while others are queued.
     ordered = sorted(dict.fromkeys(kernels), key=is_in_progress)
@@ -99,6 +83,13 @@ def _lock_of(kernel: wp.Kernel) -> threading.Lock:
     """Returns the lock of the thread that compiles ``kernel``."""
     with _locks_lock:
         return _locks.setdefault(kernel, threading.Lock())
+
+
+def forget_threads() -> None:
+    """Replaces threads and locks, in a forked process that has no copy of these threads."""
+    global _threads, _locks_lock
+    _threads, _locks_lock = _CompilerThreads(), threading.Lock()
+    _locks.clear()
 
 
 class _CompilerThreads:

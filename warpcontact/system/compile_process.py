@@ -69,11 +69,15 @@ def build(job: dict[str, Any], cache: Path) -> None:
 
 def _read(jobs: "queue.SimpleQueue[str | None]", compiling_thread: int) -> None:
     """Passes lines of standard input on. At its end, lowers the priority of the compilation."""
-    for line in sys.stdin:
-        jobs.put(line)
-    with contextlib.suppress(AttributeError, OSError):
-        os.setpriority(os.PRIO_PROCESS, compiling_thread, _LOWEST_PRIORITY)
-    jobs.put(None)
+    try:
+        for line in sys.stdin:
+            jobs.put(line)
+        # Only Linux has priorities of threads; those of the process would also apply to this thread.
+        who = compiling_thread if sys.platform == "linux" else 0
+        with contextlib.suppress(AttributeError, OSError):
+            os.setpriority(os.PRIO_PROCESS, who, _LOWEST_PRIORITY)
+    finally:
+        jobs.put(None)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,12 @@ from weakref import WeakSet
 
 import warp as wp
 
+try:
+    from warp._src.codegen import _codegen_lock as codegen_lock
+    from warp._src.context import ModuleHasher
+except ImportError:
+    ModuleHasher = codegen_lock = None
+
 from warpcontact.kernels.lowlevel import unique_kernel
 from warpcontact.system.initialization import require_room
 
@@ -24,7 +30,7 @@ _BLOCK_DIM = 1
 # Optimization level of Warp for a CPU if the options of a module have none.
 _DEFAULT_LEVEL = 2
 _NEEDED = ("_get_compile_output_name", "_get_meta_name", "_run_codegen", "_write_meta")
-_HAS_NEEDED = all(hasattr(wp.Module, name) for name in _NEEDED)
+_HAS_NEEDED = ModuleHasher is not None and all(hasattr(wp.Module, name) for name in _NEEDED)
 # Kernels whose release build was found in the kernel cache.
 _found: WeakSet[wp.Kernel] = WeakSet()
 # Number of active blocks of ``release_builds_only``.
@@ -58,7 +64,8 @@ class CompileJob:
 
 def starts_quick(device: wp.Device) -> bool:
     """Returns whether quick builds are launched on ``device`` until the release builds are compiled."""
-    return unique_kernel.BACKGROUND and device.is_cpu and _HAS_NEEDED and not _release_only
+    possible = unique_kernel.BACKGROUND and device.is_cpu and _HAS_NEEDED and wp.config.cache_kernels
+    return possible and not _release_only
 
 
 @contextmanager
@@ -72,7 +79,9 @@ def release_builds_only() -> Iterator[None]:
 
 
 def current_build(kernel: wp.Kernel, device: wp.Device) -> wp.Kernel:
-    """Returns the build of ``kernel`` to launch on ``device``: the quick one while the release build is missing."""
+    """Returns the build of ``kernel`` to launch on ``device``: on a CPU the quick one while the other is missing."""
+    if device.is_cuda:
+        return unique_kernel.gpu_build(kernel)
     if not starts_quick(device) or is_compiled(kernel):
         return kernel
     return unique_kernel.quick_build(kernel)
@@ -80,9 +89,39 @@ def current_build(kernel: wp.Kernel, device: wp.Device) -> wp.Kernel:
 
 def is_compiled(kernel: wp.Kernel) -> bool:
     """Returns whether the release build of ``kernel`` for the CPU is in the kernel cache."""
-    if kernel not in _found and all(path.is_file() for path in _files(kernel)):
+    if kernel not in _found and has_files(kernel):
         _found.add(kernel)
     return kernel in _found
+
+
+def has_files(kernel: wp.Kernel) -> bool:
+    """Returns whether the files of ``kernel`` for the CPU are in the kernel cache."""
+    return all(path.is_file() for path in _files(kernel))
+
+
+def require_unchanged(kernel: wp.Kernel) -> None:
+    """Raises an error if a build of ``kernel`` for the CPU must be generated and would differ from its identifier.
+
+    The identifier is computed once, from the source of the kernel and from the constants and functions that it uses.
+    If these are bound to other values later, the source that Warp then generates must not get this identifier.
+
+    Raises:
+        RuntimeError: If a constant or function was changed.
+    """
+    module = kernel.module
+    if not _HAS_NEEDED or _BLOCK_DIM not in module.hashers or has_files(kernel):
+        return
+    with codegen_lock:
+        present = {one: one.hash for one in module._get_live_kernels()}
+        fresh = ModuleHasher(list(present), module.resolved_options[_BLOCK_DIM])
+        if fresh.get_hash() == module.get_module_hash(_BLOCK_DIM):
+            return
+        for one, old in present.items():
+            one.hash = old
+    raise RuntimeError(
+        f"a constant or function that kernel {kernel.adj.fun_name} uses was changed since it was first prepared; "
+        "build the model again to use the present one"
+    )
 
 
 def compile_job(kernel: wp.Kernel) -> CompileJob:
@@ -90,12 +129,15 @@ def compile_job(kernel: wp.Kernel) -> CompileJob:
 
     Raises:
         OSError: If the kernel cache cannot be written.
+        RuntimeError: If a constant or function that the kernel uses was changed since its identifier was computed.
     """
     module = kernel.module
     binary, meta = _files(kernel)
     require_room(lambda: binary.parent.name)
     options = module.resolved_options[_BLOCK_DIM] | {"output_arch": None}
-    source, extension, meta_data, *_ = module._run_codegen(options, True)
+    with codegen_lock:
+        source, extension, meta_data, *_ = module._run_codegen(options, True)
+        require_unchanged(kernel)
     build_folder = Path(f"{binary.parent}_p{os.getpid()}_t{threading.get_ident()}")
     build_folder.mkdir(parents=True, exist_ok=True)
     source_file = f"{binary.parent.name}.{extension}"
