@@ -191,6 +191,22 @@ def test_build_of_a_changed_constant_is_refused(monkeypatch, empty_cache):
     assert values.numpy() == [5]
 
 
+def test_code_generation_restores_the_switch_interval(monkeypatch):
+    kernel, intervals = small_kernel(24), []
+    generate = type(kernel.module)._run_codegen
+    monkeypatch.setattr(
+        type(kernel.module),
+        "_run_codegen",
+        lambda *arguments: intervals.append(sys.getswitchinterval()) or generate(*arguments),
+    )
+    before = sys.getswitchinterval()
+    request = BackgroundCompiler().request([kernel])
+    wait_for(lambda: request.is_done)
+    assert intervals == [pytest.approx(1e-3)]
+    assert sys.getswitchinterval() == before
+    assert request.error == ""
+
+
 def test_kernels_of_deleted_requests_are_not_compiled():
     compiler, kernels = BackgroundCompiler(), [small_kernel(number) for number in range(10, 22)]
     request = compiler.request(kernels)

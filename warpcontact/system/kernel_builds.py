@@ -6,6 +6,7 @@ functions of Warp that are not part of its interface. If Warp does not have them
 
 import os
 import shutil
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +28,8 @@ from warpcontact.system.initialization import require_room
 
 # Threads per block of launches on a CPU.
 _BLOCK_DIM = 1
+# Largest interval after which code generation releases the interpreter to other threads [s].
+_SWITCH_INTERVAL = 1e-3
 # Optimization level of Warp for a CPU if the options of a module have none.
 _DEFAULT_LEVEL = 2
 _NEEDED = ("_get_compile_output_name", "_get_meta_name", "_run_codegen", "_write_meta")
@@ -124,6 +127,21 @@ def require_unchanged(kernel: wp.Kernel) -> None:
     )
 
 
+@contextmanager
+def _short_switch_interval() -> Iterator[None]:
+    """Makes this thread release the interpreter sooner to other threads; the lock of code generation is held.
+
+    A capture calls thousands of C functions, which release the interpreter. With Python's interval of 5 ms, it would take
+    as long as the generation.
+    """
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(min(before, _SWITCH_INTERVAL))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
+
+
 def compile_job(kernel: wp.Kernel) -> CompileJob:
     """Generates the source of the release build of ``kernel`` for the CPU, and writes it into a build folder.
 
@@ -135,7 +153,7 @@ def compile_job(kernel: wp.Kernel) -> CompileJob:
     binary, meta = _files(kernel)
     require_room(lambda: binary.parent.name)
     options = module.resolved_options[_BLOCK_DIM] | {"output_arch": None}
-    with codegen_lock:
+    with codegen_lock, _short_switch_interval():
         source, extension, meta_data, *_ = module._run_codegen(options, True)
         require_unchanged(kernel)
     build_folder = Path(f"{binary.parent}_p{os.getpid()}_t{threading.get_ident()}")
