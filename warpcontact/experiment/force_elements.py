@@ -85,8 +85,9 @@ def _settings_model(kind: type[SceneElement]) -> type[ForceElementSettings]:
         default = ... if field.default is dataclasses.MISSING else field.default
         of = kind.kind_of(field)
         if of in REFERENCES:
-            text = str | None if kind.is_optional(field.name) else str
-            fields[field.name] = (text, Field(default, description=f"the name of a {REFERENCES[of][0]}"))
+            optional = kind.is_optional(field.name)
+            omitted, text = (None, str | None) if optional else (default, str)
+            fields[field.name] = (text, Field(omitted, description=f"the name of a {REFERENCES[of][0]}"))
         elif of is bool:
             fields[field.name] = (bool, default)
         else:

@@ -8,17 +8,18 @@ they need no code for the family.
 import dataclasses
 import re
 from collections.abc import Iterator, Mapping
-from types import NoneType
-from typing import Any, ClassVar, dataclass_transform, get_args, get_type_hints
+from typing import Any, ClassVar, dataclass_transform
 
 from warpcontact.kernels.catalogue.device_model import parameter
 from warpcontact.kernels.catalogue.keywords import refuse_unknown
-from warpcontact.scene.elements import Body, Points, Surface
-from warpcontact.scene.shapes import Shape
+from warpcontact.scene.element_declaration import REFERENCES, Argument, check_number, declare_arguments
+from warpcontact.scene.elements import Body, Points
 from warpcontact.validation import checks
 
-#: Elements to which a field can refer.
-REFERENCES: tuple[type, ...] = (Body, Surface, Points, Shape)
+
+def is_base(kind: type) -> bool:
+    """Returns whether a class is a base of elements, of which there are no instances."""
+    return kind.__module__ == __name__ and issubclass(kind, SceneElement)
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter,))
@@ -26,28 +27,23 @@ REFERENCES: tuple[type, ...] = (Body, Surface, Points, Shape)
 class SceneElement:
     """Base of the elements of a registered family. Subclasses become frozen dataclasses with keyword arguments.
 
-    Fields are of three kinds: a number or vector, declared by ``wc.parameter`` with unit, meaning and range; a
-    boolean; or another element, annotated by its class: ``Points``, ``Body``, ``Surface`` or ``Shape``, with
-    ``| None`` for the world.
+    Fields are of three kinds: a number (``float``) or vector (``tuple[float, ...]`` of shape (3,) or (4,)), declared
+    by ``wc.parameter`` with unit, meaning and range; a ``bool``; or another element, annotated by its class:
+    ``Points``, ``Body``, ``Surface`` or ``Shape``, with ``| None`` if it may be omitted, for the world. A class with
+    other fields, or with fields named like a method, is refused with a ``TypeError``.
     """
 
     #: Sensors that an experiment records by default.
     recorded: ClassVar[tuple[str, ...]] = ()
 
+    # Types of the arguments by name.
+    _types: ClassVar[Mapping[str, Argument]] = {}
+
     name: str
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        dataclasses.dataclass(frozen=True, eq=False, kw_only=True)(cls)
-        for field in cls.arguments():
-            kind = cls.kind_of(field)
-            if field.name in ("type", "kind"):
-                raise TypeError(f"{cls.__name__}.{field.name} must have another name, which files do not reserve")
-            if "unit" not in field.metadata and kind is not bool and kind not in REFERENCES:
-                raise TypeError(
-                    f"{cls.__name__}.{field.name} must be declared with wc.parameter, or be a bool, Points, Body, "
-                    "Surface or Shape"
-                )
+        cls._types = declare_arguments(cls, [base for base in cls.__mro__[1:] if is_base(base)])
 
     @classmethod
     def prefix(cls) -> str:
@@ -61,9 +57,8 @@ class SceneElement:
 
     @classmethod
     def kind_of(cls, field: "dataclasses.Field[Any]") -> Any:
-        """Returns the type of a field, without ``None``."""
-        annotated = get_type_hints(cls)[field.name]
-        return next((kind for kind in get_args(annotated) if kind is not NoneType), annotated)
+        """Returns the type of an argument, without ``None``."""
+        return cls._types[field.name].kind
 
     @classmethod
     def references(cls) -> dict[str, Any]:
@@ -78,7 +73,7 @@ class SceneElement:
     @classmethod
     def is_optional(cls, name: str) -> bool:
         """Returns whether an element may be omitted, which stands for the world."""
-        return NoneType in get_args(get_type_hints(cls)[name])
+        return cls._types[name].optional
 
     @classmethod
     def checked(cls, name: str, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -96,11 +91,12 @@ class SceneElement:
         refuse_unknown(cls.__name__, values, fields)
         found: dict[str, Any] = {}
         for key, field in fields.items():
-            value = values.get(key, field.default)
+            omitted = None if cls.is_optional(key) else field.default
+            value = values.get(key, omitted)
             if value is dataclasses.MISSING:
                 raise TypeError(f"{name}.{key} is missing")
             if "unit" in field.metadata:
-                value = checks.numbers(f"{name}.{key}", value, field.metadata["shape"], field.metadata)
+                value = check_number(f"{name}.{key}", value, field)
             elif cls.kind_of(field) is bool:
                 value = checks.switch(f"{name}.{key}", value)
             found[key] = value
@@ -132,6 +128,20 @@ class PointPair(SceneElement):
             ValueError: If not.
         """
         check_ends(self.name, self.point_a, self.point_b)
+
+
+def check_class(what: str, kind: Any) -> None:
+    """Checks that a class is one of elements.
+
+    Args:
+        what: Name of the class in the message.
+        kind: The class.
+
+    Raises:
+        TypeError: If it is not.
+    """
+    if not (isinstance(kind, type) and issubclass(kind, SceneElement)) or is_base(kind):
+        raise TypeError(f"{what} must be a class derived from SceneElement or PointPair, got {kind!r}")
 
 
 def check_ends(name: str, point_a: Points, point_b: Points) -> None:
@@ -175,8 +185,7 @@ class ForceElements:
             TypeError: If an argument does not exist, or is missing.
             ValueError: If a value is out of range; the message names it.
         """
-        if not (isinstance(kind, type) and issubclass(kind, SceneElement)):
-            raise TypeError(f"kind must be a class derived from SceneElement, got {kind!r}")
+        check_class("kind", kind)
         name = checks.new_name(kind.prefix(), name, self._elements)
         values = kind.checked(name, arguments)
         for key, of in kind.references().items():
