@@ -190,6 +190,53 @@ def test_class_name_with_other_letters_is_refused():
         type("Höhe", (PointPair,), {})
 
 
+@pytest.mark.parametrize(
+    ("kind", "declare", "message"),
+    [
+        (PointPair, MagnetSet.declare, "kind must be a class derived from SceneElement or PointPair, got <class"),
+        (SceneElement, MagnetSet.declare, "kind must be a class derived from SceneElement or PointPair"),
+        (MagnetSet, MagnetSet.declare, "kind must be a class derived from SceneElement or PointPair"),
+        ("Magnet", MagnetSet.declare, "kind must be a class derived from SceneElement or PointPair, got 'Magnet'"),
+        (Magnet, None, "declare must be a function of a BuildContext and the elements, got None"),
+    ],
+)
+def test_register_refuses_other_objects(kind, declare, message):
+    with pytest.raises(TypeError, match=re.escape(message)):
+        registry.register(kind, declare)
+    assert list(registry.element_kinds().values()) == [Magnet]
+
+
+def test_second_class_of_a_name_is_refused(module):
+    other = module("other_magnets", "class Magnet(PointPair): ...").Magnet
+    with pytest.raises(
+        ValueError,
+        match=r"Magnet must have another name: other_magnets\.Magnet cannot be registered, because magnet\.Magnet is",
+    ):
+        registry.register(other, MagnetSet.declare)
+    nested = module("magnet", "class Coils:\n    class Magnet(PointPair): ...").Coils.Magnet
+    with pytest.raises(ValueError, match=r"Magnet must have another name: magnet\.Coils\.Magnet cannot be"):
+        registry.register(nested, MagnetSet.declare)
+    assert registry.element_kinds() == {"Magnet": Magnet}
+
+
+def test_module_that_is_executed_again_replaces_its_class(module):
+    first, second = (module("coils", "class Coil(PointPair): ...").Coil for _ in range(2))
+    for kind in (first, second):
+        registry.register(kind, MagnetSet.declare)
+        assert registry.element_kinds()["Coil"] is kind
+    registry.register(first, MagnetSet.declare)
+    assert registry.element_kinds()["Coil"] is first
+    assert registry.is_registered(second)
+
+
+def test_classes_of_files_are_found_by_file_only(module):
+    files = [module(f"{registry.FILE_MODULE}{i}_magnet", "class Magnet(PointPair): ...").Magnet for i in range(2)]
+    for kind in files:
+        registry.register(kind, MagnetSet.declare)
+    assert all(map(registry.is_registered, files))
+    assert registry.element_kinds() == {"Magnet": Magnet}
+
+
 def two_points(scene):
     ball = scene.add_body(1.0, (1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0), name="ball")
     return {
@@ -242,6 +289,19 @@ def test_directions_are_unit_vectors_on_the_device(device):
     np.testing.assert_array_equal(rods.settings.numpy()["axis"][:, 0], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     with pytest.raises(ValueError, match=r"rod\.axis.* must be a direction"):
         model["rod.axis"] = (0.0, 0.0, 0.0)
+
+
+def test_exported_stage_restores_all_kinds_of_arguments(tmp_path, monkeypatch):
+    pytest.importorskip("pxr")
+    model = rod_scene(axis=(0.0, 3.0, 4.0), active=False).build(device="cpu")
+    path = wc.export_usd(wc.Simulation(model, dt=1e-3).run(0.01), tmp_path / "rods.usda")
+    monkeypatch.setattr(registry, "_REGISTERED", {})
+    with pytest.raises(wc.UsdError, match=r"import the module that registers it, or pass the class: custom_types"):
+        wc.Scene.from_usd(path)
+    (rod,) = wc.Scene.from_usd(path, custom_types=[Rod]).force_elements
+    assert (type(rod), rod.carrier, rod.active) == (Rod, None, False)
+    np.testing.assert_array_equal(rod.axis, [0.0, 3.0, 4.0])
+    np.testing.assert_array_equal(rod.stiffness, [1.0, 2.0, 3.0, 4.0])
 
 
 @pytest.mark.parametrize("carrier", [{}, {"carrier": "ball"}])
@@ -306,6 +366,9 @@ class Labelled(Magnet):
             Magnet,
             "Set.quantities must be a dictionary from a name to (array, unit, meaning)",
         ),
+        ({"family": "couplings"}, Magnet, "Set.family must be a name other than joints, mesh contact, contact"),
+        ({"family": "measures"}, Magnet, "Set.family must be a name other than joints, mesh contact, contact"),
+        ({"family": None}, Magnet, "particle contact, measures, got None"),
         ({}, Labelled, "Labelled.recorded must be sensors: force, peak, force_a, force_b, got 'forces'"),
     ],
 )
@@ -315,6 +378,14 @@ def test_device_data_with_invalid_attribute_is_refused(change, element, message,
     scene = wc.Scene()
     scene.add_force_element(element, **two_points(scene), strength=1.0)
     with pytest.raises((TypeError, ValueError), match=re.escape(message)):
+        scene.build(device=device)
+
+
+def test_family_that_declares_no_list_is_refused(device):
+    registry.register(Magnet, lambda context, elements: None)
+    scene = wc.Scene()
+    scene.add_force_element(Magnet, **two_points(scene), strength=1.0)
+    with pytest.raises(TypeError, match="declare of magnet must return a list of ForceElement, got None"):
         scene.build(device=device)
 
 

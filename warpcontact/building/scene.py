@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from warpcontact.building.model import Model, SplitModel
     from warpcontact.kernels.catalogue.device_model import Formula
     from warpcontact.meshes.isolation import Limits
+    from warpcontact.scene.scene_element import SceneElement
 
 
 @explain_keywords_of
@@ -36,7 +37,7 @@ class Scene(SceneData):
         cls,
         path: str | os.PathLike[str],
         *,
-        custom_types: "Iterable[type[Formula]]" = (),
+        custom_types: "Iterable[type[Formula] | type[SceneElement]]" = (),
         material: ContactMaterial | None = None,
         contact_time: float = 0.01,
         samples: int | str = "vertices",
@@ -53,8 +54,9 @@ class Scene(SceneData):
 
         Args:
             path: A .usd, .usda, .usdc or .usdz file.
-            custom_types: User-defined classes of laws, friction models, springs, motions and shapes that a stage of
-                ``export_usd`` refers to.
+            custom_types: User-defined classes of laws, friction models, springs, motions, shapes and force elements
+                that a stage of ``export_usd`` refers to. Classes of force elements that are registered by an imported
+                module can be omitted.
             material: Contact material of all contacts of other stages. Default: from the physics materials.
             contact_time: Duration of an impact in other stages, from which the contact stiffness is computed [s].
             samples: Sampling of meshes in contact with meshes in other stages, see ``add_surface_contact``.

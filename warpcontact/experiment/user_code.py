@@ -28,6 +28,7 @@ from typing import Any
 from warpcontact.experiment.errors import ExperimentError, abbreviated
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import is_run_folder, read_file
+from warpcontact.forces.registry import FILE_MODULE
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.names import suggestion
 from warpcontact.kernels.couplings.springs import Damper, Spring
@@ -335,7 +336,7 @@ def _module(path: Path, content: bytes) -> ModuleType:
 
 def _run(path: Path, content: bytes) -> ModuleType:
     code = compile(content, str(path), "exec", dont_inherit=True)
-    module = ModuleType(f"_warpcontact_own_{next(_NUMBERS)}_{re.sub(r'[^0-9A-Za-z_]', '_', path.stem)}")
+    module = ModuleType(f"{FILE_MODULE}{next(_NUMBERS)}_{re.sub(r'[^0-9A-Za-z_]', '_', path.stem)}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses and Warp look up the module here
     # Warp reads the source of functions through linecache when they are defined. The entry provides the executed

@@ -76,20 +76,25 @@ class Catalogue:
         custom_types: Custom classes of the caller.
 
     Raises:
-        TypeError: If one of them is not derived from a base class in ``LIBRARY``.
+        TypeError: If one of them is not derived from a base class in ``LIBRARY``, or from ``SceneElement``.
         ValueError: If two of them have the same name.
     """
 
-    def __init__(self, custom_types: Iterable[type[Formula]] = ()) -> None:
-        self._custom_types: dict[str, type[Formula]] = {}
+    def __init__(self, custom_types: Iterable[type[Formula] | type[SceneElement]] = ()) -> None:
+        self._custom_types: dict[str, Any] = {}
         for kind in custom_types:
-            if not isinstance(kind, type) or not issubclass(kind, tuple(LIBRARY)):
+            if not isinstance(kind, type) or not issubclass(kind, (*LIBRARY, SceneElement)):
                 raise TypeError(
-                    "custom_types must be classes derived from wc.Law, wc.Friction, wc.Spring, wc.Damper, wc.Motion or "
-                    f"wc.ParametricSurface, got {kind!r}"
+                    "custom_types must be classes derived from wc.Law, wc.Friction, wc.Spring, wc.Damper, wc.Motion, "
+                    f"wc.ParametricSurface or SceneElement, got {kind!r}"
                 )
             if self._custom_types.setdefault(kind.__name__, kind) is not kind:
                 raise ValueError(f"custom_types must have distinct names, got two classes named {kind.__name__!r}")
+
+    @property
+    def force_elements(self) -> dict[str, type[SceneElement]]:
+        """Custom classes of force elements, by name."""
+        return {name: kind for name, kind in self._custom_types.items() if issubclass(kind, SceneElement)}
 
     def find(self, base: type[Formula], name: str, custom_types: bool) -> type[Formula]:
         """Returns the class with a name.
@@ -103,7 +108,7 @@ class Catalogue:
             LookupError: If there is no such class; the message lists those that exist.
         """
         if custom_types:
-            kind = self._custom_types.get(name)
+            kind: Any = self._custom_types.get(name)
             if kind is None or not issubclass(kind, base):
                 raise LookupError(
                     f"{name!r} is a {base.__name__.lower()} not in the library; pass the class: custom_types=[{name}]"

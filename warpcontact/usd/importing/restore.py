@@ -19,6 +19,7 @@ from warpcontact.meshes import Mesh, SurfaceSamples
 from warpcontact.scene.contact_coupling import ContactRange, ExpectedImpact
 from warpcontact.scene.elements import ContactMaterial
 from warpcontact.scene.scene_data import SceneData
+from warpcontact.scene.scene_element import SceneElement
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.importing.findings import UsdError, shortened
 from warpcontact.usd.importing.stage import SCHEMA, Record
@@ -37,7 +38,9 @@ _ALWAYS_GIVEN = {"point": ("body",), "points": ("body",), "shape": ("body",)}
 
 
 def restore_scene(
-    records: Record, custom_types: Iterable[type[Formula]] = (), subject: str = "the description of the scene"
+    records: Record,
+    custom_types: Iterable[type[Formula] | type[SceneElement]] = (),
+    subject: str = "the description of the scene",
 ) -> SceneData:
     """Returns the scene of a description.
 
@@ -135,11 +138,11 @@ class _Restoration:
     def _force_element(self, scene: SceneData, record: Record) -> Any:
         """Adds an element of a registered family of force elements."""
         values = {key: value for key, value in record["values"].items() if key != "kind"}
-        given, kinds = values.pop("type", None), element_kinds()
+        given, kinds = values.pop("type", None), {**element_kinds(), **self.catalogue.force_elements}
         if given not in kinds:
             raise ValueError(
                 f"type must be a registered force element ({', '.join(kinds) or 'there is none'}), got "
-                f"{shortened(given)}; import the module that registers it"
+                f"{shortened(given)}; import the module that registers it, or pass the class: custom_types=[…]"
             )
         targets = {key: self._named(key, paths) for key, paths in record["targets"].items()}
         return scene.add_force_element(kinds[given], **values, **targets)

@@ -17,6 +17,7 @@ from warpcontact.meshes.isolation import Limits, array_of, header_of, read_sandb
 from warpcontact.meshes.readers import USD_SUFFIXES, Unreadable
 from warpcontact.scene.elements import Body, ContactMaterial
 from warpcontact.scene.scene_data import SceneData
+from warpcontact.scene.scene_element import SceneElement
 from warpcontact.scene.surface_contact import check_amount
 from warpcontact.usd.importing.contact_materials import FRICTION, PhysicsMaterial
 from warpcontact.usd.importing.contacts import Collider, ContactBuilder
@@ -263,7 +264,7 @@ def element_names(paths: list[str]) -> list[str]:
 def scene_from_usd(
     path: str | os.PathLike[str],
     *,
-    custom_types: Iterable[type[Formula]],
+    custom_types: Iterable[type[Formula] | type[SceneElement]],
     material: ContactMaterial | None,
     contact_time: float,
     samples: int | str,
