@@ -41,6 +41,7 @@ KERNEL_ORDER = [
     "narrowphase",
     "broadphase",
     "contact",
+    "body_contact",
     "couplings",
     "particles",
     "integrators",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
@@ -177,6 +177,81 @@ def compile_force_kernel(
         "returns a vector.",
     ):
         load(kernel(), device)
+
+
+class _HasMaterial(Protocol):
+    """A contact whose coefficients are stored for each of its items."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def count(self) -> int:
+        """Number of items."""
+
+    @property
+    def single(self) -> bool:
+        """Whether it has no item axis."""
+
+    def parameters(self, part: str) -> dict[str, Any]:
+        """Returns the parameters of one part of its material."""
+
+    def is_computed(self, part: str, name: str) -> bool:
+        """Returns whether a parameter is computed, so that users cannot set it."""
+
+
+def add_material_parameters(
+    contacts: Sequence[_HasMaterial], parts: ContactModel, coefficients: Any, parameters: Parameters, real: type
+) -> None:
+    """Adds the parameters of the materials of ``contacts``, and the arrays of ``coefficients`` [env, item].
+
+    Args:
+        contacts: Contacts with the same contact model, whose items are consecutive.
+        parts: Their contact model.
+        coefficients: Struct with one array per part, see ``group_structs``.
+        parameters: Parameters of the model.
+        real: Type of a real number.
+    """
+    for part, formula in parts._asdict().items():
+        _add_part(contacts, part, formula, coefficients, parameters, real)
+
+
+def _add_part(
+    contacts: Sequence[_HasMaterial],
+    part: str,
+    formula: type[Formula],
+    coefficients: Any,
+    parameters: Parameters,
+    real: type,
+) -> None:
+    struct = coefficient_struct(formula, real)
+    fields = [
+        {name: Field(np.full(contact.count, value)) for name, value in contact.parameters(part).items()}
+        for contact in contacts
+    ]
+
+    def content() -> NDArray[Any]:
+        names = formula.device_names()
+        if not names:
+            return pack(struct, {"unused": np.zeros((1, sum(contact.count for contact in contacts)))})
+        envs = max(len(field.values) for own in fields for field in own.values())
+        columns: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+        for contact, own in zip(contacts, fields, strict=True):
+            values = {name: field.values for name, field in own.items()}
+            computed = formula.coefficients(dict(zip(values, np.broadcast_arrays(*values.values()), strict=True)))
+            for name, column in columns.items():
+                column.append(np.broadcast_to(computed[name], (envs, contact.count)))
+        return pack(struct, {name: np.concatenate(column, axis=1) for name, column in columns.items()})
+
+    device_field = parameters.device_field(coefficients, part, struct, content)
+    for contact, own in zip(contacts, fields, strict=True):
+        for name, field in own.items():
+            if contact.is_computed(part, name):
+                continue
+            full = f"{contact.name}.{part}.{name}"
+            items = slice(0, contact.count)
+            parameters.add(full, field, items, formula.limits(name), [device_field], single=contact.single)
 
 
 def _add_formula(

@@ -74,6 +74,7 @@ FAMILIES: tuple[Family, ...] = (
     ),
     Family("couplings", lambda scene: scene.couplings, _OnDemand("couplings.sets")),
     Family("shape contact", lambda scene: scene.shape_contacts, _OnDemand("shape_contact.contact_sets")),
+    Family("body contact", lambda scene: scene.body_contacts, _OnDemand("body_contact.body_contact_set")),
     Family("particle contact", lambda scene: scene.particle_contacts, _OnDemand("particle_contact.contact_set")),
 )
 

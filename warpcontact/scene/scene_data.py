@@ -19,6 +19,7 @@ from warpcontact.kernels.catalogue.names import explain_renamed
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.mesh import face_mask
 from warpcontact.scene.add_bodies import Bodies
+from warpcontact.scene.body_contact import BodyContact, BodyContacts
 from warpcontact.scene.couplings import Coupling, Couplings
 from warpcontact.scene.elements import (
     AREA,
@@ -57,6 +58,7 @@ _LISTS = (
     "shapes",
     "shape_contacts",
     "particle_contacts",
+    "body_contacts",
     "force_elements",
 )
 
@@ -68,7 +70,7 @@ MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
 
 @explain_renamed
 @explain_keywords_of
-class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, ForceElements):
+class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, BodyContacts, ForceElements):
     """Bodies, surfaces, shapes, points, contacts and couplings of one environment; base class of ``Scene``.
 
     Args:
@@ -97,6 +99,7 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, ForceElement
         self.shapes: list[Shape] = []
         self.shape_contacts: list[ShapeContact] = []
         self.particle_contacts: list[ParticleContact] = []
+        self.body_contacts: list[BodyContact] = []
         self.force_elements: list[SceneElement] = []
         self._elements: dict[str, Any] = {}
         self.import_warnings: tuple[str, ...] = ()
@@ -109,7 +112,13 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, ForceElement
             "surfaces": self.surfaces,
             "points": self.points,
             "shapes": self.shapes,
-            "contacts": [*self.contacts, *self.shape_contacts, *self.particle_contacts, *self.contact_couplings],
+            "contacts": [
+                *self.contacts,
+                *self.shape_contacts,
+                *self.particle_contacts,
+                *self.body_contacts,
+                *self.contact_couplings,
+            ],
             "couplings": self.couplings,
             "force elements": self.force_elements,
         }

@@ -132,6 +132,14 @@ class ShapeContact:
         """Its law and friction models, by name of the part."""
         return self.material.formulas
 
+    def parameters(self, part: str) -> dict[str, Any]:
+        """Returns the parameters of one part of its material."""
+        return self.formulas[part].parameters()
+
+    def is_computed(self, part: str, name: str) -> bool:
+        """Returns whether a parameter of one part of its material is computed: none."""
+        return False
+
 
 # Parameters of a shape in addition to those of its form.
 _OWN = ("position", "orientation")

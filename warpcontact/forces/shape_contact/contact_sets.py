@@ -10,14 +10,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.forces.contact_groups import compile_force_kernel, history_view
+from warpcontact.forces.contact_groups import add_material_parameters, compile_force_kernel, history_view
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget, Need
 from warpcontact.forces.sensor import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.forces.shape_contact.measures import has_curvatures, measure
 from warpcontact.forces.shape_contact.step_warnings import shape_contact_warnings
 from warpcontact.forces.shape_sets import ShapeSet
 from warpcontact.kernels.acceptance import reset
-from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
+from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.shapes import force, measures, narrow_phase
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from warpcontact.model.model import DeviceModel
     from warpcontact.scene.scene_data import SceneData
     from warpcontact.storage.allocation_plan import AllocationPlan
-    from warpcontact.storage.parameters import DeviceField, Parameters
+    from warpcontact.storage.parameters import Parameters
 
 # Bytes of a contact in the cache of a core; measured.
 CONTACT_BYTES = 300
@@ -148,8 +148,7 @@ class ShapeContactSet(ForceElement):
         self._declare(context.layout)
         self.first_end = 2 * context.ends.add(self.bodies)
         self._add_settings(context.parameters)
-        for part, formula in self.parts._asdict().items():
-            self._add_formula(context.parameters, part, formula)
+        add_material_parameters(tuple(self.items), self.parts, self.coefficients, context.parameters, self.real)
 
     @property
     def contact_count(self) -> int:
@@ -230,39 +229,6 @@ class ShapeContactSet(ForceElement):
                     parameters.add(
                         name, fields[key], items, allowed, [device_field], single=contact.single, convert=convert
                     )
-
-    def _add_formula(self, parameters: "Parameters", part: str, formula: type[Formula]) -> None:
-        """Adds the parameters of one part and the device field of its coefficients."""
-        struct = coefficient_struct(formula, self.real)
-        fields = {
-            contact: {
-                name: Field(np.full(contact.count, value))
-                for name, value in contact.formulas[part].parameters().items()
-            }
-            for contact in self.items
-        }
-
-        def content() -> NDArray[Any]:
-            names = formula.device_names()
-            if not names:
-                return pack(struct, {"unused": np.zeros((1, self.count))})
-            envs = max(len(field.values) for own in fields.values() for field in own.values())
-            columns: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
-            for contact, own in fields.items():
-                values = {name: field.values for name, field in own.items()}
-                computed = formula.coefficients(
-                    dict(zip(values, np.broadcast_arrays(*values.values()), strict=True))
-                )
-                for name, column in columns.items():
-                    column.append(np.broadcast_to(computed[name], (envs, contact.count)))
-            return pack(struct, {name: np.concatenate(parts, axis=1) for name, parts in columns.items()})
-
-        device_field: DeviceField = parameters.device_field(self.coefficients, part, struct, content)
-        for contact, own in fields.items():
-            for name, field in own.items():
-                full = f"{contact.name}.{part}.{name}"
-                items = slice(0, contact.count)
-                parameters.add(full, field, items, formula.limits(name), [device_field], single=contact.single)
 
     def memories(self) -> Iterator[tuple[type[Formula], wp.array, wp.array]]:
         """Yields (formula, history_in, history_out) of the parts with history variables."""

@@ -1,0 +1,360 @@
+"""Columns between two solids, the depth of their overlap, and which solid is the reference.
+
+A column stands on a point of a face of one solid that is inside the other solid. It runs along the inward normal of
+the face, to the first place where it leaves the other solid; its length is its depth t. The column pushes the other
+solid along the outward normal of the face. The projection of each face of the other solid onto the plane of the first
+face, where it is below that plane, is a polygon on which t is linear. Columns end at faces that they leave (exits). A face that they enter below
+the plane (an entry) is between the face and an exit that the column does not reach, so the columns of that exit are
+subtracted.
+
+With D, the depth of the overlap, the weight w of a column is 1 up to t = 2 D and 0 from t = 4 D on: columns on side walls
+run along the overlap, not across it, and do not count. Columns stand on the faces of both solids. They are weighted with the
+share of each solid as the reference, which is larger for the solid whose surface is flatter in the overlap.
+"""
+
+import warp as wp
+from warpcontact.kernels.body_contact.polygons import (
+    Polygon,
+    clipped,
+    corner,
+    polygon_area,
+    with_corner,
+)
+from warpcontact.kernels.body_contact.solids import (
+    CONVEX,
+    HALF_SPACE,
+    OPEN,
+    Geometries,
+    RelativePose,
+    SolidPose,
+    corner_count,
+    face_vertex,
+    inverse_pose,
+    scaled,
+)
+
+real = wp.float64
+vec3d = wp.vec3d
+
+# Weight of columns: 1 up to FULL_WEIGHT × D, 0 from NO_WEIGHT × D on.
+FULL_WEIGHT = wp.constant(real(2.0))
+NO_WEIGHT = wp.constant(real(4.0))
+# Cosine of two normals below which a face is parallel to the columns.
+PARALLEL = wp.constant(real(1.0e-12))
+# Offset of a search from the point where it starts, relative to the size of the solid.
+OFFSET = wp.constant(real(1.0e-12))
+INFINITE = wp.constant(real(wp.inf))
+
+
+@wp.struct
+class Side:
+    """One solid of a pair, with the columns that stand on the faces of the other one or on its own."""
+
+    first_face: wp.int32
+    end_face: wp.int32
+    flags: wp.int32  # of its geometry
+    scale: vec3d  # [m per unit]
+    center: vec3d  # of a bounding sphere [m]
+    radius: real  # of the bounding sphere [m]
+
+
+@wp.struct
+class FaceFrame:
+    """The plane of a face, in the frame of its solid."""
+
+    origin: vec3d  # [m]
+    u_axis: vec3d
+    v_axis: vec3d
+    normal: vec3d  # outward
+    count: wp.int32  # number of corners; 0: the whole plane
+    corners: wp.types.matrix(shape=(4, 2), dtype=wp.float64)  # rows (u, v) [m]
+
+
+@wp.struct
+class Overlap:
+    """Overlap of two solids."""
+
+    depth: real  # D [m]
+    share: real  # weight of the columns on the faces of the second solid; those on the first have 1 − share
+
+
+@wp.struct
+class Crossing:
+    """Where a ray crosses a surface."""
+
+    distance: real  # along the ray; infinite: nowhere [m]
+    leaves: wp.int32  # 1: the ray leaves the solid; 0: it enters the solid
+
+
+@wp.func
+def side_of(geometries: Geometries, pose: SolidPose):
+    """Returns the ``Side`` of a solid."""
+    side = Side()
+    side.first_face = geometries.face_start[pose.geometry]
+    side.end_face = geometries.face_start[pose.geometry + 1]
+    side.flags = geometries.flags[pose.geometry]
+    side.scale = pose.scale
+    side.center = scaled(geometries.center[pose.geometry], pose.scale)
+    side.radius = geometries.radius[pose.geometry] * wp.max(wp.max(pose.scale[0], pose.scale[1]), pose.scale[2])
+    return side
+
+
+@wp.func
+def face_frame(geometries: Geometries, side: Side, face: int):
+    """Returns the plane of a face; of a half-space, the plane z = 0."""
+    frame = FaceFrame()
+    if side.flags & HALF_SPACE:
+        frame.u_axis = vec3d(real(1.0), real(0.0), real(0.0))
+        frame.v_axis = vec3d(real(0.0), real(1.0), real(0.0))
+        frame.normal = vec3d(real(0.0), real(0.0), real(1.0))
+        return frame
+    vertices = geometries.face[face]
+    frame.origin = face_vertex(geometries, vertices, 0, side.scale)
+    along = face_vertex(geometries, vertices, 1, side.scale) - frame.origin
+    across = face_vertex(geometries, vertices, 2, side.scale) - frame.origin
+    frame.u_axis = wp.normalize(along)
+    frame.normal = wp.normalize(wp.cross(along, across))
+    frame.v_axis = wp.cross(frame.normal, frame.u_axis)
+    frame.count = corner_count(vertices)
+    for i in range(frame.count):
+        position = face_vertex(geometries, vertices, i, side.scale) - frame.origin
+        frame.corners[i, 0] = wp.dot(frame.u_axis, position)
+        frame.corners[i, 1] = wp.dot(frame.v_axis, position)
+    return frame
+
+
+@wp.func
+def position_on_face(frame: FaceFrame, u: real, v: real):
+    """Returns the point of a face with coordinates ``u`` and ``v``, in the frame of its solid [m]."""
+    return frame.origin + u * frame.u_axis + v * frame.v_axis
+
+
+@wp.func
+def is_above(frame: FaceFrame, other: Side, pose: RelativePose):
+    """Returns whether the other solid, of relative pose ``pose``, is outside the plane of a face."""
+    center = pose.origin + pose.rotation * other.center
+    return wp.dot(frame.normal, center - frame.origin) - other.radius >= real(0.0)
+
+
+@wp.func
+def column_polygon(geometries: Geometries, frame: FaceFrame, other: Side, pose: RelativePose, face: int):
+    """Returns the base of the columns on a face that cross face ``face`` of the other solid.
+
+    Its corners run clockwise at an exit, and counter-clockwise at an entry.
+    """
+    vertices = geometries.face[face]
+    polygon = Polygon()
+    deepest = real(0.0)
+    for i in range(corner_count(vertices)):
+        position = pose.origin + pose.rotation * face_vertex(geometries, vertices, i, other.scale) - frame.origin
+        depth = -wp.dot(frame.normal, position)
+        deepest = wp.max(deepest, depth)
+        polygon = with_corner(
+            polygon, vec3d(wp.dot(frame.u_axis, position), wp.dot(frame.v_axis, position), depth)
+        )
+    if deepest == real(0.0):
+        return Polygon()
+    polygon = clipped(polygon, vec3d(real(0.0), real(0.0), real(1.0)), real(0.0))
+    for i in range(frame.count):
+        following = i + 1
+        if following == frame.count:
+            following = 0
+        along = wp.vec2d(
+            frame.corners[following, 0] - frame.corners[i, 0], frame.corners[following, 1] - frame.corners[i, 1]
+        )
+        inward = vec3d(-along[1], along[0], real(0.0))
+        offset = along[1] * frame.corners[i, 0] - along[0] * frame.corners[i, 1]
+        polygon = clipped(polygon, inward, offset)
+    return polygon
+
+
+@wp.func
+def is_on_face(geometries: Geometries, side: Side, vertices: wp.vec4i, normal: vec3d, position: vec3d):
+    """Returns whether a point of the plane of a face is on the face."""
+    count = corner_count(vertices)
+    previous = face_vertex(geometries, vertices, count - 1, side.scale)
+    for i in range(count):
+        current = face_vertex(geometries, vertices, i, side.scale)
+        if wp.dot(wp.cross(current - previous, position - previous), normal) < real(0.0):
+            return False
+        previous = current
+    return True
+
+
+@wp.func
+def face_normal(geometries: Geometries, side: Side, vertices: wp.vec4i):
+    """Returns the outward unit normal of a face."""
+    origin = face_vertex(geometries, vertices, 0, side.scale)
+    along = face_vertex(geometries, vertices, 1, side.scale) - origin
+    across = face_vertex(geometries, vertices, 2, side.scale) - origin
+    return wp.normalize(wp.cross(along, across))
+
+
+@wp.func
+def first_crossing(geometries: Geometries, side: Side, origin: vec3d, direction: vec3d, only_exits: bool):
+    """Returns where a ray in the frame of a solid first crosses its surface.
+
+    Args:
+        geometries: The geometries.
+        side: The solid; not a half-space.
+        origin: Start of the ray [m].
+        direction: Unit vector.
+        only_exits: Whether to ignore places where the ray enters the solid.
+    """
+    result = Crossing()
+    result.distance = INFINITE
+    convex = (side.flags & CONVEX) != 0
+    for face in range(side.first_face, side.end_face):
+        vertices = geometries.face[face]
+        normal = face_normal(geometries, side, vertices)
+        cosine = wp.dot(normal, direction)
+        if wp.abs(cosine) < PARALLEL or ((only_exits or convex) and cosine < real(0.0)):
+            continue
+        distance = wp.dot(normal, face_vertex(geometries, vertices, 0, side.scale) - origin) / cosine
+        if distance < OFFSET * side.radius or distance >= result.distance:
+            continue
+        if not convex:
+            if not is_on_face(geometries, side, vertices, normal, origin + distance * direction):
+                continue
+        result.distance = distance
+        result.leaves = wp.where(cosine > real(0.0), 1, 0)
+    return result
+
+
+@wp.func
+def distance_to_segment(position: vec3d, start: vec3d, end: vec3d):
+    """Returns the distance of a point from a segment [m]."""
+    along = end - start
+    fraction = wp.clamp(wp.dot(position - start, along) / wp.dot(along, along), real(0.0), real(1.0))
+    return wp.length(position - start - fraction * along)
+
+
+@wp.func
+def distance_to_face(geometries: Geometries, side: Side, vertices: wp.vec4i, position: vec3d):
+    """Returns the distance of a point from a face [m]."""
+    normal = face_normal(geometries, side, vertices)
+    height = wp.dot(normal, position - face_vertex(geometries, vertices, 0, side.scale))
+    if is_on_face(geometries, side, vertices, normal, position - height * normal):
+        return wp.abs(height)
+    count = corner_count(vertices)
+    previous = face_vertex(geometries, vertices, count - 1, side.scale)
+    least = INFINITE
+    for i in range(count):
+        current = face_vertex(geometries, vertices, i, side.scale)
+        least = wp.min(least, distance_to_segment(position, previous, current))
+        previous = current
+    return least
+
+
+@wp.func
+def depth_below_surface(geometries: Geometries, side: Side, position: vec3d, direction: vec3d):
+    """Returns the distance of a point inside a solid from its surface; 0 or less if the point is outside [m].
+
+    Args:
+        geometries: The geometries.
+        side: The solid.
+        position: The point, in the frame of the solid [m].
+        direction: Direction of a ray that crosses the surface.
+    """
+    if side.flags & HALF_SPACE:
+        return -position[2]
+    convex = (side.flags & CONVEX) != 0
+    if not convex:
+        crossing = first_crossing(geometries, side, position, direction, False)
+        if crossing.leaves == 0:
+            return real(0.0)
+    depth = INFINITE
+    for face in range(side.first_face, side.end_face):
+        vertices = geometries.face[face]
+        if convex:
+            normal = face_normal(geometries, side, vertices)
+            height = wp.dot(normal, face_vertex(geometries, vertices, 0, side.scale) - position)
+            depth = wp.min(depth, height)
+        else:
+            depth = wp.min(depth, distance_to_face(geometries, side, vertices, position))
+    return depth
+
+
+@wp.func
+def deepest_of(
+    geometries: Geometries, frame: FaceFrame, other: Side, pose: RelativePose, polygon: Polygon, deepest: real
+):
+    """Returns the largest depth below the surface of the other solid on a polygon, at least ``deepest`` [m].
+
+    It is evaluated at corners, midpoints of edges and the center. A column is at least as long as its base is deep.
+    """
+    center = vec3d()
+    count = polygon.count
+    direction = -(wp.transpose(pose.rotation) * frame.normal)
+    for i in range(2 * count + 1):
+        point = corner(polygon, i // 2 % count)
+        if i == 2 * count:
+            point = center / real(count)
+        elif i % 2 == 1:
+            point = real(0.5) * (point + corner(polygon, (i // 2 + 1) % count))
+        else:
+            center += point
+        if point[2] > deepest:
+            position = position_on_face(frame, point[0], point[1]) - pose.origin
+            depth = depth_below_surface(geometries, other, wp.transpose(pose.rotation) * position, direction)
+            deepest = wp.max(deepest, wp.min(depth, point[2]))
+    return deepest
+
+
+@wp.func
+def overlap_of(geometries: Geometries, first: Side, second: Side, first_in_second: RelativePose):
+    """Returns the ``Overlap`` of two solids; the first must not be a half-space or open."""
+    result = Overlap()
+    result.share = real(1.0)
+    second_is_reference = (second.flags & (HALF_SPACE | OPEN)) != 0
+    # Deviation from flatness of the part of each surface that is inside the other solid [m²].
+    deviation = wp.vec2d()
+    for family in range(2):
+        if family == 1 and second_is_reference:
+            break
+        own = second
+        other = first
+        pose = first_in_second
+        if family == 1:
+            own = first
+            other = second
+            pose = inverse_pose(first_in_second)
+        total = real(0.0)
+        total_vector = vec3d()
+        for face in range(own.first_face, own.end_face):
+            frame = face_frame(geometries, own, face)
+            if is_above(frame, other, pose):
+                continue
+            area = real(0.0)
+            for other_face in range(other.first_face, other.end_face):
+                polygon = column_polygon(geometries, frame, other, pose, other_face)
+                if polygon.count == 0:
+                    continue
+                signed = polygon_area(polygon)
+                area -= signed
+                if signed < real(0.0):
+                    result.depth = deepest_of(geometries, frame, other, pose, polygon, result.depth)
+            total += area
+            total_vector += area * frame.normal
+        deviation[family] = total - wp.length(total_vector)
+    if not second_is_reference:
+        # Faces of the second solid carry more if the first solid is less flat.
+        result.share = real(0.5)
+        together = deviation[0] + deviation[1]
+        if together > real(0.0):
+            result.share = deviation[1] / together
+    return result
+
+
+@wp.func
+def column_weight(depth: real, overlap: Overlap, always: bool):
+    """Returns the weight w of a column of depth ``depth``; ``always``: 1 for each column."""
+    if always:
+        return real(1.0)
+    span = (NO_WEIGHT - FULL_WEIGHT) * overlap.depth
+    if depth <= FULL_WEIGHT * overlap.depth:
+        return real(1.0)
+    if depth >= NO_WEIGHT * overlap.depth:
+        return real(0.0)
+    x = (depth - FULL_WEIGHT * overlap.depth) / span
+    return real(1.0) - x * x * (real(3.0) - real(2.0) * x)

@@ -1,0 +1,312 @@
+"""Force and torque of body contacts: the pressure of columns, and its friction, integrated over the overlap."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.body_contact import solids as solid_functions
+from warpcontact.kernels.body_contact.columns import (
+    FULL_WEIGHT,
+    NO_WEIGHT,
+    OFFSET,
+    Overlap,
+    column_polygon,
+    column_weight,
+    face_frame,
+    first_crossing,
+    is_above,
+    overlap_of,
+    position_on_face,
+    side_of,
+)
+from warpcontact.kernels.body_contact.polygons import RULE_SIZE, clipped, corner, quadrature_point, signed_area
+from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
+from warpcontact.kernels.body_contact.solids import HALF_SPACE, OPEN, Geometries, Solids, inverse_pose
+from warpcontact.kernels.contact.contact_evaluation import (
+    ContactModel,
+    functions,
+    group_structs,
+    kinematics_structs,
+)
+from warpcontact.kernels.frames import functions as frame_functions
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.types import (
+    CONTACT,
+    DISABLED,
+    ENV_ACTIVE,
+    WRONG_SIDE,
+    LaunchRange,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+from warpcontact.kernels.types import (
+    OPEN as OPEN_STATUS,
+)
+
+vec3d = wp.vec3d
+double = wp.float64
+
+
+@wp.struct
+class ColumnSums:
+    """Sums over the columns of a pair; W."""
+
+    area: double  # [m²]
+    volume: double  # [m³]
+    pressure: double  # integral of the normal force per area [N]
+    max_pressure: double  # [Pa]
+    approach_speed: double  # largest [m/s]
+    friction: vec3d  # on the first body [N]
+    force: vec3d  # on the first body [N]
+    torque_1: vec3d  # on the first body, about its center of mass [N·m]
+    torque_2: vec3d  # on the second body, about its center of mass [N·m]
+    moment: vec3d  # of pressure, from the center of mass of the first body [N·m]
+
+
+@functools.cache
+def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_joints: bool) -> wp.Kernel:
+    """Returns the force kernel of body contacts with one contact model; items: pairs.
+
+    Args:
+        contact_model: Classes of law and friction models, without history variables.
+        real: Precision of state, law and friction. Geometry is in float64.
+        per_area: Whether the law is a pressure; otherwise its mean over the area of the columns is the normal force.
+        has_joints: Whether the effective mass includes the joints of bodies.
+    """
+    t = structs(real)
+    quat, Model, State, CouplingWrenches = t.quat, t.Model, t.State, t.CouplingWrenches
+    BodyContacts = body_contact_structs(real).BodyContacts
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    ContactKinematics = kinematics_structs(real).ContactKinematics
+    evaluate_contact = functions(contact_model, real, has_joints).evaluate_contact
+    pair_pose = solid_functions.functions(real).pair_pose
+    frame = frame_functions(real)
+    wide, narrow = frame.wide, frame.narrow
+
+    @unique_kernel()
+    def body_contact_forces(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        step: wp.array2d(dtype=real),  # [env, 0] duration over which the force acts [s]; 0: instantaneous force
+        first_end: wp.int32,
+        geometries: Geometries,
+        solids: Solids,
+        pairs: SolidPairs,
+        settings: wp.array2d(dtype=BodyContactSettings),
+        coefficients: Coefficients,
+        history: MaterialHistory,
+        body_contacts: BodyContacts,
+        ends: CouplingWrenches,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            pair = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            setting = settings[env, pair]
+            solid_1 = pairs.first[pair]
+            solid_2 = pairs.second[pair]
+            first = side_of(geometries, solids.pose[env, solid_1])
+            second = side_of(geometries, solids.pose[env, solid_2])
+            pose = pair_pose(state, env, solids, solid_1, solid_2)
+
+            overlap = Overlap()
+            contact_status = wp.int32(OPEN_STATUS)
+            if setting.enabled == 0:
+                contact_status = DISABLED
+            else:
+                between = (
+                    pose.first_in_second.origin + pose.first_in_second.rotation * first.center - second.center
+                )
+                reach = first.radius + second.radius
+                if (second.flags & HALF_SPACE) != 0 or wp.dot(between, between) < reach * reach:
+                    overlap = overlap_of(geometries, first, second, pose.first_in_second)
+                    if setting.reference >= double(0.0) and (second.flags & (HALF_SPACE | OPEN)) == 0:
+                        overlap.share = setting.reference
+                if overlap.depth > double(0.0):
+                    contact_status = CONTACT
+                    if overlap.depth > setting.max_depth:
+                        contact_status = WRONG_SIDE
+
+            sums = ColumnSums()
+            second_is_reference = (second.flags & (HALF_SPACE | OPEN)) != 0
+            half_space = (second.flags & HALF_SPACE) != 0
+            families = wp.int32(0)
+            q = pose.orientation
+            q_WS = quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
+            if contact_status == CONTACT:
+                families = wp.where(second_is_reference, 1, 2)
+            for family in range(families):
+                share = overlap.share
+                own = second
+                other = first
+                own_pose = pose.first_in_second
+                rotation = pose.rotation
+                origin = vec3d()
+                if family == 1:
+                    share = double(1.0) - overlap.share
+                    own = first
+                    other = second
+                    own_pose = inverse_pose(pose.first_in_second)
+                    rotation = pose.rotation * pose.first_in_second.rotation
+                    origin = pose.rotation * pose.first_in_second.origin
+                if share == double(0.0):
+                    continue
+                for face in range(own.first_face, own.end_face):
+                    face_plane = face_frame(geometries, own, face)
+                    if is_above(face_plane, other, own_pose):
+                        continue
+                    # Out of the second solid.
+                    normal_W = rotation * face_plane.normal
+                    if family == 1:
+                        normal_W = -normal_W
+                    for other_face in range(other.first_face, other.end_face):
+                        polygon = column_polygon(geometries, face_plane, other, own_pose, other_face)
+                        is_entry = wp.bool(False)
+                        if polygon.count > 0:
+                            is_entry = signed_area(
+                                corner(polygon, 0), corner(polygon, 1), corner(polygon, 2)
+                            ) > double(0.0)
+                        # The weight is a polynomial below and above FULL_WEIGHT × D.
+                        part_count = wp.where(half_space or is_entry, 1, 2)
+                        for part in range(part_count):
+                            piece = polygon
+                            if part_count == 2:
+                                middle = FULL_WEIGHT * overlap.depth
+                                if part == 0:
+                                    piece = clipped(piece, vec3d(double(0.0), double(0.0), double(-1.0)), middle)
+                                else:
+                                    piece = clipped(piece, vec3d(double(0.0), double(0.0), double(1.0)), -middle)
+                                    piece = clipped(
+                                        piece,
+                                        vec3d(double(0.0), double(0.0), double(-1.0)),
+                                        NO_WEIGHT * overlap.depth,
+                                    )
+                            for number in range(RULE_SIZE * wp.max(piece.count - 2, 0)):
+                                triangle = number // RULE_SIZE
+                                corner_0 = corner(piece, 0)
+                                corner_1 = corner(piece, triangle + 1)
+                                corner_2 = corner(piece, triangle + 2)
+                                point = quadrature_point(corner_0, corner_1, corner_2, number % RULE_SIZE)
+                                # Exits have a negative area, and add columns.
+                                area = -point.weight * signed_area(corner_0, corner_1, corner_2)
+                                base = position_on_face(face_plane, point.u, point.v)
+                                depth = point.depth
+                                if is_entry and not half_space:
+                                    # Columns of the next exit do not reach it.
+                                    if depth >= NO_WEIGHT * overlap.depth:
+                                        continue
+                                    to_other = wp.transpose(own_pose.rotation)
+                                    direction = -(to_other * face_plane.normal)
+                                    start = to_other * (base - depth * face_plane.normal - own_pose.origin)
+                                    start += OFFSET * other.radius * direction
+                                    depth += first_crossing(geometries, other, start, direction, True).distance
+                                weight = share * area * column_weight(depth, overlap, half_space)
+                                if weight == double(0.0):
+                                    continue
+                                acting = base - setting.kappa * depth * face_plane.normal
+                                offset = origin + rotation * acting
+                                arm_1 = pose.arm_1 + offset
+                                arm_2 = pose.arm_2 + offset
+                                kinematics = ContactKinematics()
+                                kinematics.body_1 = solids.body[solid_1]
+                                kinematics.body_2 = solids.body[solid_2]
+                                kinematics.arm_1 = narrow(arm_1)
+                                kinematics.arm_2 = narrow(arm_2)
+                                kinematics.normal = narrow(normal_W)
+                                kinematics.penetration = real(depth)
+                                result = evaluate_contact(
+                                    model, state, env, kinematics, body_contacts.entry_speed[env, pair], step[env, 0],
+                                    coefficients, history, history, pair, real(0.0), q_WS,
+                                )  # fmt: skip
+                                pressure = double(result.normal_force)
+                                normal_force = weight * pressure
+                                friction_W = weight * wide(result.friction_force)
+                                force_W = normal_force * normal_W + friction_W
+                                sums.area += weight
+                                sums.volume += weight * depth
+                                sums.pressure += normal_force
+                                sums.max_pressure = wp.max(sums.max_pressure, pressure)
+                                sums.approach_speed = wp.max(sums.approach_speed, double(result.approach_speed))
+                                sums.friction += friction_W
+                                sums.force += force_W
+                                sums.torque_1 += wp.cross(arm_1, force_W)
+                                sums.torque_2 -= wp.cross(arm_2, force_W)
+                                sums.moment += normal_force * arm_1
+
+            scale = setting.force_scale
+            if wp.static(not per_area):
+                if sums.area > double(0.0):
+                    scale = scale / sums.area
+                else:
+                    scale = double(0.0)
+            total_force_W = narrow(scale * sums.force)
+            total_torque_W = narrow(scale * sums.torque_1)
+            center_W = vec3d()
+            mean_normal_W = vec3d()
+            if sums.pressure > double(0.0):
+                center_W = sums.moment / sums.pressure
+                mean_normal_W = wp.normalize(sums.force - sums.friction)
+            body_1 = solids.body[solid_1]
+            if body_1 >= 0:
+                center_W += wide(state.body_position[env, body_1])
+                center_W += wide(state.body_position_remainder[env, body_1])
+            body_contacts.status[env, pair] = contact_status
+            body_contacts.depth[env, pair] = real(overlap.depth)
+            body_contacts.share[env, pair] = real(wp.where(contact_status == CONTACT, overlap.share, double(0.0)))
+            body_contacts.area[env, pair] = real(sums.area)
+            body_contacts.volume[env, pair] = real(sums.volume)
+            body_contacts.normal[env, pair] = narrow(mean_normal_W)
+            body_contacts.center[env, pair] = narrow(wp.where(contact_status == CONTACT, center_W, vec3d()))
+            body_contacts.max_pressure[env, pair] = real(scale * sums.max_pressure)
+            body_contacts.approach_speed[env, pair] = real(sums.approach_speed)
+            body_contacts.normal_force[env, pair] = real(scale * sums.pressure)
+            body_contacts.friction_force[env, pair] = narrow(scale * sums.friction)
+            body_contacts.force[env, pair] = total_force_W
+            body_contacts.torque[env, pair] = total_torque_W
+            end = first_end + 2 * pair
+            ends.force[env, end] = total_force_W
+            ends.torque[env, end] = total_torque_W
+            ends.force[env, end + 1] = -total_force_W
+            ends.torque[env, end + 1] = narrow(scale * sums.torque_2)
+
+    return body_contact_forces
+
+
+@functools.cache
+def accept_contacts(real: type) -> wp.Kernel:
+    """Returns the kernel that stores the entry speeds of accepted steps; items: pairs."""
+    BodyContacts = body_contact_structs(real).BodyContacts
+
+    @unique_kernel()
+    def accept_body_contacts(launch: LaunchRange, status: wp.array(dtype=wp.int32), body_contacts: BodyContacts):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            pair = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            entry_speed = real(-1.0)
+            if body_contacts.status[env, pair] == CONTACT:
+                # At least 0: negative values mean "not in contact".
+                speed = wp.max(body_contacts.approach_speed[env, pair], real(0.0))
+                entry_speed = wp.max(body_contacts.entry_speed[env, pair], speed)
+            body_contacts.entry_speed[env, pair] = entry_speed
+
+    return accept_body_contacts
+
+
+@functools.cache
+def reset_contacts(real: type) -> wp.Kernel:
+    """Returns the kernel that resets the history of contacts. Launch with dim (env, pair)."""
+    BodyContacts = body_contact_structs(real).BodyContacts
+
+    @unique_kernel(runs_rarely=True)
+    def reset_body_contacts(mask: wp.array(dtype=wp.bool), body_contacts: BodyContacts):
+        env, pair = wp.tid()
+        if mask[env]:
+            body_contacts.entry_speed[env, pair] = real(-1.0)
+
+    return reset_body_contacts

@@ -1,0 +1,126 @@
+"""Convex polygons in the plane of a face: clipping, area and quadrature points.
+
+A corner is (u, v, t): coordinates in the plane of a face, and the depth below it, which is linear over the polygon.
+"""
+
+import warp as wp
+
+real = wp.float64
+
+#: Largest number of corners: two quadrilaterals have up to 8, and each of the two cuts at a depth adds one.
+MAX_CORNERS = 11
+#: Points of the quadrature rule on a triangle.
+RULE_SIZE = 7
+
+corner_matrix = wp.types.matrix(shape=(MAX_CORNERS, 3), dtype=real)
+
+# Radon's rule of degree 5 on a triangle: barycentric coordinates (a, b, b) and weights of its two orbits.
+_A_1, _B_1, _W_1 = 0.059715871789769820, 0.470142064105115090, 0.132394152788506180
+_A_2, _B_2, _W_2 = 0.797426985353087320, 0.101286507323456340, 0.125939180544827150
+CENTER_WEIGHT = wp.constant(real(0.225))
+WEIGHT_1 = wp.constant(real(_W_1))
+WEIGHT_2 = wp.constant(real(_W_2))
+FAR_1, NEAR_1 = wp.constant(real(_A_1)), wp.constant(real(_B_1))
+FAR_2, NEAR_2 = wp.constant(real(_A_2)), wp.constant(real(_B_2))
+THIRD = wp.constant(real(1.0 / 3.0))
+
+
+@wp.struct
+class Polygon:
+    """A convex polygon."""
+
+    count: wp.int32  # number of corners; less than 3: empty
+    corners: corner_matrix  # rows (u, v, t) [m]
+
+
+@wp.struct
+class QuadraturePoint:
+    """A point of the quadrature rule on a triangle."""
+
+    u: real  # [m]
+    v: real  # [m]
+    depth: real  # t [m]
+    weight: real  # fraction of the area of the triangle [-]
+
+
+@wp.func
+def corner(polygon: Polygon, i: int):
+    """Returns corner ``i`` (u, v, t)."""
+    return wp.vec3d(polygon.corners[i, 0], polygon.corners[i, 1], polygon.corners[i, 2])
+
+
+@wp.func
+def with_corner(polygon: Polygon, position: wp.vec3d):
+    """Returns the polygon with one more corner; unchanged if it is full."""
+    if polygon.count < MAX_CORNERS:
+        polygon.corners[polygon.count, 0] = position[0]
+        polygon.corners[polygon.count, 1] = position[1]
+        polygon.corners[polygon.count, 2] = position[2]
+        polygon.count = polygon.count + 1
+    return polygon
+
+
+@wp.func
+def clipped(polygon: Polygon, factors: wp.vec3d, offset: real):
+    """Returns the part of the polygon where ``factors`` · (u, v, t) + ``offset`` ≥ 0."""
+    if polygon.count < 3:
+        return Polygon()
+    result = Polygon()
+    previous = corner(polygon, polygon.count - 1)
+    previous_value = wp.dot(factors, previous) + offset
+    for i in range(polygon.count):
+        current = corner(polygon, i)
+        value = wp.dot(factors, current) + offset
+        if (value >= real(0.0)) != (previous_value >= real(0.0)):
+            fraction = previous_value / (previous_value - value)
+            result = with_corner(result, previous + fraction * (current - previous))
+        if value >= real(0.0):
+            result = with_corner(result, current)
+        previous = current
+        previous_value = value
+    if result.count < 3:
+        result.count = 0
+    return result
+
+
+@wp.func
+def signed_area(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d):
+    """Returns the area of a triangle in the plane of u and v, positive if its corners run counter-clockwise [m²]."""
+    return real(0.5) * (
+        (second[0] - first[0]) * (third[1] - first[1]) - (third[0] - first[0]) * (second[1] - first[1])
+    )
+
+
+@wp.func
+def polygon_area(polygon: Polygon):
+    """Returns the signed area of the polygon in the plane of u and v [m²]."""
+    area = real(0.0)
+    for i in range(1, polygon.count - 1):
+        area += signed_area(corner(polygon, 0), corner(polygon, i), corner(polygon, i + 1))
+    return area
+
+
+@wp.func
+def quadrature_point(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d, number: int):
+    """Returns point ``number``, from 0 to ``RULE_SIZE`` − 1, of the rule of degree 5 on a triangle."""
+    far = THIRD
+    near = THIRD
+    weight = CENTER_WEIGHT
+    if number > 3:
+        far = FAR_2
+        near = NEAR_2
+        weight = WEIGHT_2
+    elif number > 0:
+        far = FAR_1
+        near = NEAR_1
+        weight = WEIGHT_1
+    opposite = (number + 2) % 3
+    barycentric = wp.vec3d(near, near, near)
+    barycentric[opposite] = far
+    position = barycentric[0] * first + barycentric[1] * second + barycentric[2] * third
+    point = QuadraturePoint()
+    point.u = position[0]
+    point.v = position[1]
+    point.depth = position[2]
+    point.weight = weight
+    return point

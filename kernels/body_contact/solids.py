@@ -1,0 +1,157 @@
+"""Solids: polyhedra with convex faces of up to four corners, and half-spaces, on bodies or the world.
+
+A geometry is a polyhedron in coordinates of its own; a solid is a geometry with a scale and a pose. Faces run
+counter-clockwise as seen from outside.
+"""
+
+import functools
+from typing import NamedTuple
+
+import warp as wp
+from warpcontact.kernels.types import Struct, structs
+
+real = wp.float64
+
+# Properties of a geometry.
+CONVEX = 1
+HALF_SPACE = 2  # z ≤ 0; it has one face without corners
+OPEN = 4  # a surface with a boundary; only its own faces carry columns
+
+
+@wp.struct
+class Geometries:
+    """Polyhedra that all environments share."""
+
+    vertex: wp.array(dtype=wp.vec3d)  # [vertex] [unit of the geometry]
+    face: wp.array(dtype=wp.vec4i)  # [face] vertices; the last is −1 for a triangle
+    face_start: wp.array(dtype=wp.int32)  # [geometry + 1]
+    flags: wp.array(dtype=wp.int32)  # [geometry] CONVEX, HALF_SPACE, OPEN
+    center: wp.array(dtype=wp.vec3d)  # [geometry] of a bounding sphere [unit of the geometry]
+    radius: wp.array(dtype=wp.float64)  # [geometry] of the bounding sphere
+
+
+@wp.struct
+class SolidPose:
+    """A geometry on a body."""
+
+    position: wp.vec3d  # origin of the geometry in the frame of the body, or of the world [m]
+    orientation: wp.quatd  # geometry → body (or world)
+    scale: wp.vec3d  # along the axes of the geometry [m per unit]
+    geometry: wp.int32
+
+
+@wp.struct
+class Solids:
+    """Solids of body contacts."""
+
+    pose: wp.array2d(dtype=SolidPose)  # [env, solid]
+    body: wp.array(dtype=wp.int32)  # [solid] body or WORLD
+
+
+@wp.struct
+class RelativePose:
+    """Pose of a solid relative to another one, in metres."""
+
+    origin: wp.vec3d  # of the solid in the frame of the other one [m]
+    rotation: wp.mat33d  # solid → other
+
+
+@wp.struct
+class WorldPose:
+    """Rotations and arms of the two solids of a pair."""
+
+    first_in_second: RelativePose
+    orientation: wp.quatd  # second solid → W
+    rotation: wp.mat33d  # the same
+    arm_1: wp.vec3d  # from the center of mass of the first body to the origin of the second solid, W [m]
+    arm_2: wp.vec3d  # likewise from the second body
+
+
+@wp.func
+def scaled(position: wp.vec3d, scale: wp.vec3d):
+    """Returns a position of a geometry in metres."""
+    return wp.cw_mul(position, scale)
+
+
+@wp.func
+def inverse_pose(pose: RelativePose):
+    """Returns the pose of the other solid relative to the solid."""
+    result = RelativePose()
+    result.rotation = wp.transpose(pose.rotation)
+    result.origin = -(result.rotation * pose.origin)
+    return result
+
+
+@wp.func
+def face_vertex(geometries: Geometries, face: wp.vec4i, i: int, scale: wp.vec3d):
+    """Returns corner ``i`` of a face [m]."""
+    return scaled(geometries.vertex[face[i]], scale)
+
+
+@wp.func
+def corner_count(face: wp.vec4i):
+    """Returns the number of corners of a face."""
+    if face[3] < 0:
+        return wp.int32(3)
+    return wp.int32(4)
+
+
+class Functions(NamedTuple):
+    """Device functions of solids, for states of one precision."""
+
+    #: ``(state, env, solids, first, second)``: the ``WorldPose`` of two solids.
+    pair_pose: wp.Function
+
+
+@functools.cache
+def functions(real_type: type) -> Functions:
+    """Returns the device functions for states of precision ``real_type``."""
+    State: Struct = structs(real_type).State
+
+    @wp.func
+    def body_rotation(state: State, env: int, body: int):
+        """Returns the rotation B → W of ``body`` (WORLD: identity), normalized in float64."""
+        if body < 0:
+            return wp.quatd(real(0.0), real(0.0), real(0.0), real(1.0))
+        q = state.body_orientation[env, body]
+        return wp.normalize(wp.quatd(real(q[0]), real(q[1]), real(q[2]), real(q[3])))
+
+    @wp.func
+    def body_center(state: State, env: int, body: int):
+        """Returns the center of mass of ``body`` without its rounding remainder (WORLD: the origin), W [m]."""
+        if body < 0:
+            return wp.vec3d()
+        p = state.body_position[env, body]
+        return wp.vec3d(real(p[0]), real(p[1]), real(p[2]))
+
+    @wp.func
+    def body_remainder(state: State, env: int, body: int):
+        if body < 0:
+            return wp.vec3d()
+        p = state.body_position_remainder[env, body]
+        return wp.vec3d(real(p[0]), real(p[1]), real(p[2]))
+
+    @wp.func
+    def pair_pose(state: State, env: int, solids: Solids, first: int, second: int):
+        """Returns rotations and arms of two solids. Large positions are subtracted before offsets are added."""
+        body_1 = solids.body[first]
+        body_2 = solids.body[second]
+        pose_1 = solids.pose[env, first]
+        pose_2 = solids.pose[env, second]
+        q_1 = body_rotation(state, env, body_1)
+        q_2 = body_rotation(state, env, body_2)
+        offset_1 = wp.quat_rotate(q_1, pose_1.position)
+        offset_2 = wp.quat_rotate(q_2, pose_2.position)
+        between = body_center(state, env, body_1) - body_center(state, env, body_2)
+        between += body_remainder(state, env, body_1) - body_remainder(state, env, body_2)
+        result = WorldPose()
+        result.orientation = q_2 * pose_2.orientation
+        result.rotation = wp.quat_to_matrix(result.orientation)
+        to_second = wp.transpose(result.rotation)
+        result.first_in_second.rotation = to_second * wp.quat_to_matrix(q_1 * pose_1.orientation)
+        result.first_in_second.origin = to_second * (between + offset_1 - offset_2)
+        result.arm_2 = offset_2
+        result.arm_1 = offset_2 - between
+        return result
+
+    return Functions(pair_pose=pair_pose)

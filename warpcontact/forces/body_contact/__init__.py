@@ -1,0 +1,1 @@
+"""Force elements of body contact: contact of solids over an area."""

@@ -1,0 +1,215 @@
+"""Device data of body contacts, grouped by contact model. Kernels: ``kernels/body_contact``."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.forces.body_contact.solid_tables import SolidTables
+from warpcontact.forces.contact_groups import add_material_parameters, compile_force_kernel
+from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget
+from warpcontact.forces.sensor import Sensor, shape_in
+from warpcontact.kernels.body_contact import force
+from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
+from warpcontact.kernels.catalogue.history_variables import memory_struct
+from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.scene import elements as limits_of
+from warpcontact.scene.body_contact import BodyContact, reference_share
+from warpcontact.scene.status import ContactStatus
+from warpcontact.storage.allocation_plan import fixed, per_env
+from warpcontact.storage.model_arrays import ModelArrays
+from warpcontact.storage.parameters import Field, Parameters, pack
+from warpcontact.validation import checks
+
+if TYPE_CHECKING:
+    from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.storage.allocation_plan import AllocationPlan
+
+# Bytes of a pair in the cache of a core: two solids and the results.
+PAIR_BYTES = 500
+_PURPOSE = "body contacts"
+_RANGES = {
+    "kappa": limits_of.KAPPA,
+    "max_depth": limits_of.MAX_DEPTH,
+    "force_scale": limits_of.FORCE_SCALE,
+    "enabled": limits_of.ENABLED,
+}
+# name: (array, unit, meaning)
+_SENSORS = {
+    "status": ("status", "-", "state of the contact"),
+    "depth": ("depth", "m", "depth of the overlap, 0 without"),
+    "normal_force": ("normal_force", "N", "normal force, the sum of its magnitude over the area"),
+    "friction_force": ("friction_force", "N", "friction force on the first body, world"),
+    "force": ("force", "N", "force on the first body, world"),
+    "torque": ("torque", "N·m", "torque on the first body about its center of mass, world"),
+    "area": ("area", "m²", "area of contact"),
+    "center": ("center", "m", "center of pressure, world"),
+    "normal": ("normal", "-", "mean unit normal out of the second solid, weighted by pressure, world"),
+    "max_pressure": ("max_pressure", "Pa", "largest pressure"),
+    "volume": ("volume", "m³", "volume of the columns"),
+    "reference": ("share", "-", "weight of the second solid as the reference, 0 to 1"),
+    "approach_speed": ("approach_speed", "m/s", "largest rate of penetration, 0 without contact"),
+}
+
+
+class BodyContactSet(ForceElement):
+    """Device data of body contacts with the same contact model.
+
+    Args:
+        contacts: The contacts.
+        tables: Geometries and poses of the solids of all body contacts.
+        context: The model to which arrays, ends and parameters are added.
+
+    Attributes:
+        parts: The contact model: classes of law and friction models.
+        kernel: The force kernel.
+        count: Number of pairs.
+        first_end: Number of the first end. Pair i has the ends ``first_end`` + 2 i (first body) and
+            ``first_end`` + 2 i + 1 (second body).
+    """
+
+    family = "body contact"
+    target = ForceTarget.ENDS
+
+    def __init__(self, contacts: Sequence[BodyContact], tables: SolidTables, context: BuildContext) -> None:
+        super().__init__()
+        self.parts: ContactModel = contacts[0].parts
+        self.tables = tables
+        self.real = context.types.real
+        starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
+        self.items = {
+            contact: slice(start, start + contact.count) for contact, start in zip(contacts, starts, strict=False)
+        }
+        self.count: int = starts[-1]
+        has_joints = context.has_joints and self.parts.law.needs_mass
+        self.kernel = force.contact_forces(self.parts, self.real, contacts[0].per_area, has_joints)
+        numbers = np.array([[tables.number(one) for one in pair] for each in contacts for pair in each.pairs])
+        self.first_end = 2 * context.ends.add(tables.bodies[numbers])
+        self._declare(context.layout, numbers)
+        self._add_settings(context.parameters)
+        add_material_parameters(tuple(self.items), self.parts, self.coefficients, context.parameters, self.real)
+
+    @property
+    def contact_count(self) -> int:
+        """Number of pairs per environment."""
+        return self.count
+
+    @property
+    def cache_bytes(self) -> int:
+        """Estimate of the memory that a step accesses per environment [bytes]."""
+        return PAIR_BYTES * self.count
+
+    def _declare(self, layout: "AllocationPlan", numbers: NDArray[np.int_]) -> None:
+        self.pairs = SolidPairs()
+        for key, column in (("first", numbers[:, 0]), ("second", numbers[:, 1])):
+            layout.constant(_PURPOSE, self.pairs, key, column, wp.int32)
+        BodyContacts = body_contact_structs(self.real).BodyContacts
+        computed = [name for name in BodyContacts.vars if name != "entry_speed"]
+        self.body_contacts = layout.struct(_PURPOSE, BodyContacts, per_env(self.count), transient=computed)
+        Coefficients, Memory = group_structs(self.parts, self.real)
+        # No part has history variables: dummy arrays.
+        self.coefficients, self.history = Coefficients(), Memory()
+        for part, formula in self.parts._asdict().items():
+            struct = memory_struct(formula, self.real)
+            layout.array(_PURPOSE, self.history, part, struct, fixed(1, 1), transient=True)
+
+    def _add_settings(self, parameters: Parameters) -> None:
+        self.settings: Any = None
+        fields = {
+            key: Field(np.concatenate([np.full(one.count, getattr(one, key)) for one in self.items]))
+            for key in _RANGES
+        }
+        fields["reference"] = Field(np.concatenate([reference_share(one) for one in self.items]))
+
+        def content() -> NDArray[Any]:
+            return pack(BodyContactSettings, {key: field.values for key, field in fields.items()})
+
+        device_field = parameters.device_field(self, "settings", BodyContactSettings, content)
+        for contact, items in self.items.items():
+            for key, allowed in _RANGES.items():
+                convert = checks.switches if key == "enabled" else None
+                name = f"{contact.name}.{key}"
+                parameters.add(
+                    name, fields[key], items, allowed, [device_field], single=contact.single, convert=convert
+                )
+
+    def compile(self, device: wp.Device) -> None:
+        """Compiles the force kernel if it has user-defined laws, to report errors early.
+
+        Raises:
+            TypeError: If a law or friction model does not compile.
+        """
+        compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
+
+    def force_launches(
+        self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
+    ) -> list[wp.Launch]:
+        """Returns the launch that computes overlaps and forces in ``state``."""
+        a = plan.model.arrays
+        return plan.prepare(
+            self.kernel,
+            self.count,
+            status=status,
+            model=a.model,
+            state=state,
+            step=step,
+            first_end=self.first_end,
+            geometries=self.tables.geometries,
+            solids=self.tables.solids,
+            pairs=self.pairs,
+            settings=self.settings,
+            coefficients=self.coefficients,
+            history=self.history,
+            body_contacts=self.body_contacts,
+            ends=a.coupling_wrenches,
+        )
+
+    def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
+        """Returns the launch that stores entry speeds after an accepted step."""
+        return plan.prepare(
+            force.accept_contacts(self.real),
+            self.count,
+            status=plan.model.arrays.status,
+            body_contacts=self.body_contacts,
+        )
+
+    def reset_state(self, chosen: wp.array) -> None:
+        """Clears entry speeds in the environments of the mask ``chosen`` [env]."""
+        wp.launch(
+            force.reset_contacts(self.real),
+            dim=(len(chosen), self.count),
+            inputs=[chosen, self.body_contacts],
+            device=chosen.device,
+        )
+
+    def sensors(self) -> Iterator[Sensor]:
+        """Yields the sensors of the body contacts."""
+        for contact, items in self.items.items():
+            own: int | slice = items.start if contact.single else items
+            several = 0 if contact.single else contact.count
+            for key, (attribute, unit, meaning) in _SENSORS.items():
+                yield Sensor(
+                    f"{contact.name}.{key}",
+                    unit,
+                    meaning,
+                    self._column(attribute, own),
+                    needs=("contacts",),
+                    items=several,
+                    codes=ContactStatus if key == "status" else None,
+                    shape=shape_in(self.body_contacts, attribute),
+                )
+
+    def _column(self, attribute: str, items: int | slice) -> Callable[[ModelArrays], wp.array]:
+        return lambda _: getattr(self.body_contacts, attribute)[:, items]
+
+
+def declare(context: BuildContext, elements: Sequence[BodyContact]) -> list[ForceElement]:
+    """Declares the body contacts of a model, and their solids."""
+    solids = list(dict.fromkeys(solid for contact in elements for pair in contact.pairs for solid in pair))
+    tables = SolidTables(solids, context.layout, context.parameters)
+    groups: dict[Any, list[BodyContact]] = {}
+    for contact in elements:
+        groups.setdefault((contact.parts, contact.per_area), []).append(contact)
+    return [BodyContactSet(own, tables, context) for own in groups.values()]

@@ -1,0 +1,129 @@
+"""Device tables of the solids of body contacts: geometries, and their poses in each environment."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.geometry.polyhedron import Polyhedron
+from warpcontact.kernels.body_contact.solids import CONVEX, HALF_SPACE, OPEN, Geometries, SolidPose, Solids
+from warpcontact.kernels.shapes.base import Plane
+from warpcontact.kernels.types import WORLD
+from warpcontact.scene.body_contact import Solid
+from warpcontact.scene.elements import Surface
+from warpcontact.storage.parameters import Parameter, Parameters, pack
+
+if TYPE_CHECKING:
+    from warpcontact.storage.allocation_plan import AllocationPlan
+
+_PURPOSE = "body contacts"
+
+
+class SolidTables:
+    """Geometries and poses of solids.
+
+    Args:
+        solids: The solids.
+        layout: Allocation plan to which the tables are added.
+        parameters: Parameters of the model, from which poses follow.
+
+    Attributes:
+        geometries: Struct ``Geometries``.
+        solids: Struct ``Solids``.
+    """
+
+    def __init__(self, solids: Sequence[Solid], layout: "AllocationPlan", parameters: Parameters) -> None:
+        self._numbers = {solid: number for number, solid in enumerate(solids)}
+        self._polyhedra: list[Polyhedron | None] = []  # None: half-space
+        self._known: dict[Any, int] = {}
+        # First geometry of each solid; those of the meshes of a surface are consecutive.
+        first = [self._add_geometries(solid) for solid in solids]
+        self.geometries, self.solids = Geometries(), Solids()
+        self._declare_geometries(layout)
+        bodies = [WORLD if solid.body is None else solid.body.index for solid in solids]
+        layout.constant(_PURPOSE, self.solids, "body", bodies, wp.int32)
+        self.bodies = np.array(bodies, dtype=np.int32)
+        columns = [self._pose_parameters(solid, parameters) for solid in solids]
+        indices = [parameters.by_name.get(f"{solid.name}.mesh") for solid in solids]
+
+        def content() -> NDArray[Any]:
+            used = [one for own in columns for one in own if one is not None] + [one for one in indices if one]
+            envs = max(len(one.values) for one in used)
+            packed: dict[str, list[NDArray[Any]]] = {
+                "position": [],
+                "orientation": [],
+                "scale": [],
+                "geometry": [],
+            }
+            for (position, orientation, size), start, index in zip(columns, first, indices, strict=True):
+                scale = np.ones((1, 1)) if size is None else size.values[:, 0].reshape(len(size.values), -1)
+                numbers = np.full(1, start) if index is None else start + index.values[:, 0]
+                values: dict[str, NDArray[Any]] = {
+                    "position": position.values[:, 0],
+                    "orientation": orientation.values[:, 0],
+                    "scale": np.broadcast_to(scale, (len(scale), 3)),
+                    "geometry": numbers.astype(np.int32),
+                }
+                for key, column in packed.items():
+                    column.append(np.broadcast_to(values[key], (envs, *values[key].shape[1:])))
+            return pack(SolidPose, {key: np.stack(values, axis=1) for key, values in packed.items()})
+
+        device_field = parameters.device_field(self.solids, "pose", SolidPose, content)
+        for parameter in {id(one): one for own in (*columns, indices) for one in own if one is not None}.values():
+            parameter.device_fields.append(device_field)
+
+    def number(self, solid: Solid) -> int:
+        """Returns the index of a solid."""
+        return self._numbers[solid]
+
+    def _add_geometries(self, solid: Solid) -> int:
+        """Adds the geometries of a solid, unless they are there; returns the number of the first."""
+        if isinstance(solid, Surface):
+            key: Any = tuple(id(mesh) for mesh in solid.meshes)
+            found: list[Polyhedron | None] = [Polyhedron.from_mesh(mesh) for mesh in solid.meshes]
+        else:
+            key = solid.kind
+            found = [None] if solid.kind is Plane else [Polyhedron.unit_box()]
+        if key not in self._known:
+            self._known[key] = len(self._polyhedra)
+            self._polyhedra += found
+        return self._known[key]
+
+    def _declare_geometries(self, layout: "AllocationPlan") -> None:
+        vertices, faces, starts, flags, centers, radii = [], [], [0], [], [], []
+        vertex_count = 0
+        for polyhedron in self._polyhedra:
+            if polyhedron is None:
+                faces.append(np.zeros((1, 4), dtype=np.int32))
+                flags.append(CONVEX | HALF_SPACE)
+                centers.append(np.zeros(3))
+                radii.append(0.0)
+            else:
+                vertices.append(polyhedron.vertices)
+                own = polyhedron.faces
+                faces.append(np.where(own >= 0, own + vertex_count, -1))
+                vertex_count += len(polyhedron.vertices)
+                flags.append(CONVEX * polyhedron.is_convex | OPEN * (not polyhedron.is_closed))
+                center, radius = polyhedron.bounding_sphere
+                centers.append(center)
+                radii.append(radius)
+            starts.append(starts[-1] + len(faces[-1]))
+        for name, values, dtype in (
+            ("vertex", np.concatenate(vertices or [np.zeros((1, 3))]), wp.vec3d),
+            ("face", np.concatenate(faces), wp.vec4i),
+            ("face_start", starts, wp.int32),
+            ("flags", flags, wp.int32),
+            ("center", np.array(centers), wp.vec3d),
+            ("radius", radii, wp.float64),
+        ):
+            layout.constant(_PURPOSE, self.geometries, name, values, dtype)
+
+    def _pose_parameters(
+        self, solid: Solid, parameters: Parameters
+    ) -> tuple[Parameter, Parameter, Parameter | None]:
+        """Returns the parameters of position, orientation and size of a solid."""
+        size = "scale" if isinstance(solid, Surface) else "half_extents"
+        position, orientation = (parameters.by_name[f"{solid.name}.{key}"] for key in ("position", "orientation"))
+        return position, orientation, parameters.by_name.get(f"{solid.name}.{size}")

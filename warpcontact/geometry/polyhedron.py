@@ -1,0 +1,154 @@
+"""Polyhedra: meshes as convex faces of up to four corners, on which the columns of body contacts stand."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.meshes import Mesh
+from warpcontact.validation.checks import Array
+
+# Distance from a plane, and deviation from a straight edge, relative to the size of the mesh, below which vertices are
+# on it. Coordinates in float32 are not merged: their faces are exact as triangles.
+_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Polyhedron:
+    """A polyhedron with convex faces of three or four corners.
+
+    Attributes:
+        vertices: Vertices, (V, 3), in the unit of the mesh.
+        faces: Vertices of each face, counter-clockwise as seen from outside, (F, 4); the last of a triangle is −1.
+        is_closed: Whether it has no boundary.
+        is_convex: Whether it is closed and convex.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    is_closed: bool
+    is_convex: bool
+
+    @classmethod
+    def from_mesh(cls, mesh: Mesh) -> "Polyhedron":
+        """Returns the polyhedron of a mesh. Coplanar triangles are merged where their union is convex."""
+        vertices = np.asarray(mesh.vertices, dtype=np.float64)
+        triangles = np.asarray(mesh.welded)[np.asarray(mesh.faces)]
+        is_closed = mesh.report.closed
+        normals = _unit_normals(vertices, triangles)
+        offsets = np.einsum("ij,ij->i", normals, vertices[triangles[:, 0]])
+        size = float(np.ptp(vertices, axis=0).max())
+        polygons: list[Sequence[int]] = []
+        for group in _coplanar_groups(vertices, triangles, normals, offsets, _TOLERANCE * size):
+            outline = _convex_outline(vertices, triangles[group], normals[group[0]], _TOLERANCE * size)
+            polygons += [triangles[number] for number in group] if outline is None else _quadrilaterals(outline)
+        faces = np.full((len(polygons), 4), -1, dtype=np.int32)
+        for row, polygon in zip(faces, polygons, strict=True):
+            row[: len(polygon)] = polygon
+        is_convex = is_closed and _is_convex(vertices, triangles, normals, offsets, _TOLERANCE * size)
+        return cls(vertices, faces, is_closed, is_convex)
+
+    @classmethod
+    def unit_box(cls) -> "Polyhedron":
+        """Returns the cube |x|, |y|, |z| ≤ 1."""
+        vertices = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+        faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+        return cls(vertices, np.array(faces, dtype=np.int32), is_closed=True, is_convex=True)
+
+    @property
+    def bounding_sphere(self) -> tuple[Array, float]:
+        """Center (3,) and radius of a sphere around the polyhedron."""
+        used = self.vertices[np.unique(self.faces[self.faces >= 0])]
+        center = 0.5 * (used.min(axis=0) + used.max(axis=0))
+        return center, float(np.linalg.norm(used - center, axis=1).max())
+
+
+def _unit_normals(vertices: Array, triangles: NDArray[np.int32]) -> Array:
+    first, second, third = (vertices[triangles[:, i]] for i in range(3))
+    normals = np.cross(second - first, third - first)
+    lengths: Array = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _coplanar_groups(
+    vertices: Array, triangles: NDArray[np.int32], normals: Array, offsets: Array, tolerance: float
+) -> list[list[int]]:
+    """Returns groups of triangles that are connected by edges and in one plane, in order of their first triangle."""
+    neighbors = defaultdict(list)
+    for number, triangle in enumerate(triangles):
+        for i in range(3):
+            edge = tuple(sorted((int(triangle[i]), int(triangle[(i + 1) % 3]))))
+            neighbors[edge].append(number)
+    seen = np.zeros(len(triangles), dtype=bool)
+    groups = []
+    for start in range(len(triangles)):
+        if seen[start]:
+            continue
+        seen[start] = True
+        group, normal, offset = [start], normals[start], offsets[start]
+        for number in group:
+            triangle = triangles[number]
+            for i in range(3):
+                edge = tuple(sorted((int(triangle[i]), int(triangle[(i + 1) % 3]))))
+                for other in neighbors[edge]:
+                    if seen[other] or normals[other] @ normal <= 0.0:
+                        continue
+                    if np.abs(vertices[triangles[other]] @ normal - offset).max() <= tolerance:
+                        seen[other] = True
+                        group.append(other)
+        groups.append(sorted(group))
+    return groups
+
+
+def _convex_outline(
+    vertices: Array, triangles: NDArray[np.int32], normal: Array, tolerance: float
+) -> list[int] | None:
+    """Returns the corners of the union of coplanar triangles; ``None``: it is not convex, or has holes."""
+    following: dict[int, int] = {}
+    directed = {(int(t[i]), int(t[(i + 1) % 3])) for t in triangles for i in range(3)}
+    for start, end in directed:
+        if (end, start) not in directed:
+            if start in following:
+                return None
+            following[start] = end
+    if not following:
+        return None
+    loop = [min(following)]
+    while (after := following[loop[-1]]) != loop[0]:
+        loop.append(after)
+        if len(loop) > len(following):
+            return None
+    if len(loop) != len(following):
+        return None
+    corners = []
+    for i, vertex in enumerate(loop):
+        before, after = vertices[loop[i - 1]], vertices[loop[(i + 1) % len(loop)]]
+        here = vertices[vertex]
+        length = float(np.linalg.norm(after - before))
+        # Distance of the corner from the line of its neighbors.
+        height = np.cross(here - before, after - here) @ normal / max(length, tolerance)
+        if height < -tolerance:
+            return None
+        if height > tolerance:
+            corners.append(vertex)
+    return corners if len(corners) >= 3 else None
+
+
+def _quadrilaterals(outline: list[int]) -> list[list[int]]:
+    """Returns a convex polygon divided into quadrilaterals, and a triangle if its number of corners is odd."""
+    return [[outline[0], *outline[i : i + 3]] for i in range(1, len(outline) - 1, 2)]
+
+
+def _is_convex(
+    vertices: Array, triangles: NDArray[np.int32], normals: Array, offsets: Array, tolerance: float
+) -> bool:
+    """Returns whether no vertex is outside the plane of a triangle."""
+    used = vertices[np.unique(triangles)]
+    step = max(1, 10_000_000 // len(used))
+    for first in range(0, len(triangles), step):
+        heights = used @ normals[first : first + step].T - offsets[first : first + step]
+        if heights.max() > tolerance:
+            return False
+    return True

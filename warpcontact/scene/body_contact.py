@@ -1,0 +1,259 @@
+"""Body contacts of a scene, and the method of ``Scene`` that adds them; it checks all input."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.contact.contact_evaluation import ContactModel
+from warpcontact.kernels.friction import Frictionless
+from warpcontact.kernels.shapes.base import Plane
+from warpcontact.kernels.shapes.rounded_box import RoundedBox
+from warpcontact.scene.elements import Body, ContactMaterial, Surface, check_owned, options_of
+from warpcontact.scene.shapes import Shape
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array
+
+#: An element with the geometry of a solid.
+Solid: TypeAlias = Surface | Shape
+
+#: Weight of the columns on the faces of the second solid, by ``reference``; negative: it follows from the flatness of both.
+REFERENCES = {"auto": -1.0, "first": 0.0, "second": 1.0, "average": 0.5}
+#: Shapes that body contact supports.
+_SHAPES: tuple[type, ...] = (RoundedBox, Plane)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyContact:
+    """Contact of solids over an area: all pairs of a first and a second solid on different bodies."""
+
+    name: str
+    pairs: tuple[tuple[Solid, Solid], ...]
+    single: bool  # one pair: no item axis
+    material: ContactMaterial
+    reference: str
+    kappa: Array
+    max_depth: Array
+    force_scale: Array
+    enabled: Array
+    color: Array | None
+    visible: bool
+
+    @property
+    def count(self) -> int:
+        """Number of pairs."""
+        return len(self.pairs)
+
+    @property
+    def parts(self) -> ContactModel:
+        """The contact model: classes of law and friction models, for which a kernel is compiled."""
+        return self.material.parts
+
+    @property
+    def formulas(self) -> dict[str, Formula]:
+        """Its law and friction models, by name of the part."""
+        return self.material.formulas
+
+    @property
+    def per_area(self) -> bool:
+        """Whether the law is a pressure; otherwise its mean over the area of contact is the normal force."""
+        return self.material.law.takes_area
+
+    @property
+    def bodies(self) -> tuple[Body | None, Body | None]:
+        """Bodies of the first pair; ``None``: the world."""
+        first, second = self.pairs[0]
+        return first.body, second.body
+
+    def parameters(self, part: str) -> dict[str, Any]:
+        """Returns the parameters of one part of the material. With an area of 1 m², a force is a pressure."""
+        return self.formulas[part].parameters(area=1.0)
+
+    def is_computed(self, part: str, name: str) -> bool:
+        """Returns whether a parameter of one part of the material is computed: the area."""
+        return name == "area" and self.formulas[part].takes_area
+
+
+@explain_keywords_of
+class BodyContacts:
+    """The body contacts of a ``Scene``."""
+
+    body_contacts: list[BodyContact]
+    surfaces: list[Surface]
+    shapes: list[Shape]
+    _elements: dict[str, Any]
+
+    def add_body_contact(
+        self,
+        first: Body | Solid | Sequence[Body | Solid],
+        second: Body | Solid | Sequence[Body | Solid],
+        material: ContactMaterial,
+        *,
+        reference: str = "auto",
+        kappa: float = 0.5,
+        max_depth: float | None = None,
+        force_scale: float = 1.0,
+        enabled: bool = True,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> BodyContact:
+        """Adds contact of solids over an area: faces, edges and corners of both carry load.
+
+        Solids are closed meshes, boxes, half-spaces (``wc.shapes.Plane``, second only) and open surfaces (second only). A
+        column stands on each point of a face of one solid inside the other solid, along the normal of the face, and its
+        length is the depth. A law with an omitted ``area`` is the pressure at the depth of each column. The mean of any
+        other law over the area of contact is the normal force. Friction acts at each point of the area, so torsion follows
+        from it.
+
+        Args:
+            first: A surface, a shape, a body (all of its surfaces and shapes), or a list of them. Sensors give the force
+                on it.
+            second: Likewise. Each first solid is paired with each second one on another body.
+            material: Contact material, without rolling and torsional friction.
+            reference: Solid on whose faces the columns stand. ``"auto"``: the flatter one, with a continuous transition;
+                ``"first"``, ``"second"``, or ``"average"`` of both. A half-space or open surface is always the reference.
+            kappa: The force of a column acts at κ times its length below the face.
+            max_depth: Maximum depth of a contact [m]. Default: unlimited.
+            force_scale: Factor on forces and torques of this contact.
+            enabled: Whether the contact is enabled.
+            name: Name in parameters and sensors. Default: generated.
+            color: Color of the force arrows, RGB in 0…1.
+            visible: Whether the force arrows are drawn.
+
+        Raises:
+            TypeError: If an argument is of a wrong type.
+            ValueError: If a value is out of range, a solid is not supported, or there is no pair on different bodies.
+        """
+        name = checks.new_name("body_contact", name, self._elements)
+        _check_material(name, material)
+        firsts = self._solids(f"{name}.first", first)
+        seconds = self._solids(f"{name}.second", second)
+        for solid in firsts:
+            _check_first(name, solid)
+        pairs = tuple(
+            (one, other) for one, other in itertools.product(firsts, seconds) if one.body is not other.body
+        )
+        if not pairs:
+            where = f"body {firsts[0].body.name!r}" if firsts[0].body else "the world"
+            raise ValueError(f"{name}: all solids are fixed to {where}; one must move")
+        options = options_of(name, kappa, max_depth, None, force_scale, enabled, color, visible)
+        del options["torsion_radius"]
+        contact = BodyContact(
+            name=name,
+            pairs=pairs,
+            single=not (isinstance(first, list | tuple) or isinstance(second, list | tuple) or len(pairs) > 1),
+            material=material,
+            reference=checks.choice(f"{name}.reference", reference, tuple(REFERENCES)),
+            **options,
+        )
+        self.body_contacts.append(contact)
+        self._elements[name] = contact
+        return contact
+
+    def _solids(self, label: str, given: Any) -> list[Solid]:
+        """Returns the solids of an argument."""
+        solids: list[Solid] = []
+        for one in given if isinstance(given, list | tuple) else [given]:
+            if isinstance(one, Body):
+                check_owned(label, one, Body, self._elements, "add_body")
+                own: list[Solid] = [each for each in self.surfaces if each.body is one]
+                own += [each for each in self.shapes if each.body is one]
+                if not own:
+                    raise ValueError(f"{label}: body {one.name!r} has no surface or shape; add_surface adds one")
+                solids += own
+            elif isinstance(one, Surface | Shape):
+                method = "add_surface" if isinstance(one, Surface) else "add_shape"
+                check_owned(label, one, type(one), self._elements, method)
+                solids.append(one)
+            else:
+                raise TypeError(f"{label} must be a surface, a shape, a body or a list of them, got {one!r}")
+        if not solids:
+            raise ValueError(f"{label} must not be an empty list")
+        for solid in solids:
+            _check_solid(label, solid)
+        return solids
+
+
+def _check_solid(label: str, solid: Solid) -> None:
+    """Raises ``ValueError`` if body contact does not support ``solid``."""
+    if isinstance(solid, Surface):
+        if not all(active.all() for active in solid.active):
+            raise ValueError(
+                f"{label}: surface {solid.name!r} has faces that are not active, which body contact needs"
+            )
+        return
+    if not solid.single:
+        raise ValueError(f"{label}: shape {solid.name!r} is a set; body contact needs shapes of single bodies")
+    if solid.kind not in _SHAPES:
+        names = " and ".join(kind.__name__ for kind in _SHAPES)
+        raise ValueError(
+            f"{label}: shape {solid.name!r} is a {solid.kind.__name__}; body contact supports meshes and the shapes "
+            f"{names}. add_shape_contact supports all shapes, at one point"
+        )
+    if solid.kind is RoundedBox and solid.sizes["radius"].any():
+        raise ValueError(
+            f"{label}: box {solid.name!r} has rounded edges, of radius {solid.sizes['radius'].max():g} m; body contact "
+            "needs a radius of 0"
+        )
+
+
+def _check_first(name: str, solid: Solid) -> None:
+    """Raises ``ValueError`` unless a solid is bounded and closed."""
+    if isinstance(solid, Shape) and solid.kind is Plane:
+        raise ValueError(f"{name}: {solid.name!r} is a half-space, which must be second")
+    if isinstance(solid, Surface) and not all(mesh.report.closed for mesh in solid.meshes):
+        raise ValueError(
+            f"{name}: surface {solid.name!r} is open, and must be second; warpcontact inspect shows its boundary"
+        )
+
+
+def _check_material(name: str, material: Any) -> None:
+    """Checks the material of a body contact.
+
+    Raises:
+        TypeError: If it is not a contact material.
+        ValueError: If body contact does not support one of its parts.
+    """
+    if not isinstance(material, ContactMaterial):
+        raise TypeError(f"material of {name!r} must be a wc.ContactMaterial, got {material!r}")
+    law, friction = material.law, material.friction
+    for part in ("rolling", "torsion"):
+        formula = material.formulas[part]
+        if not isinstance(formula, Frictionless):
+            raise ValueError(
+                f"{name}: its material has {part} {type(formula).__name__}; body contact has no {part} friction, "
+                "because friction over the area resists spin and pressure over the area resists rolling"
+            )
+    for part, formula in material.formulas.items():
+        if type(formula).memories:
+            raise ValueError(
+                f"{name}: the {part} of its material, {type(formula).__name__}, has history variables, which body "
+                "contact does not support"
+            )
+    if law.needs_curvature or friction.needs_radius:
+        part, formula = ("law", law) if law.needs_curvature else ("friction", friction)
+        raise ValueError(
+            f"{name}: the {part} of its material, {type(formula).__name__}, needs a radius of curvature, which an area "
+            "does not have"
+        )
+    if "area" in law.parameters(area=math.nan) and not law.takes_area:
+        raise ValueError(
+            f"{name}: the law of its material has an area; leave it out, because body contact computes it"
+        )
+    if friction.takes_area and not law.takes_area:
+        raise ValueError(
+            f"{name}: the friction of its material, {type(friction).__name__}, is per area, but its law "
+            f"{type(law).__name__} is not"
+        )
+
+
+def reference_share(contact: BodyContact) -> Array:
+    """Returns the weight of columns on second solids, (pairs,); negative: it follows from the flatness of both."""
+    return np.full(contact.count, REFERENCES[contact.reference])
