@@ -18,6 +18,17 @@ from warpcontact.kernels.body_contact.columns import (
     position_on_face,
     side_of,
 )
+from warpcontact.kernels.body_contact.patches import (
+    PATCH_COUNT,
+    Patches,
+    patch_normals,
+    patch_of,
+    patch_sums,
+    shape_of_patch,
+    with_column,
+    with_patch,
+)
+from warpcontact.kernels.body_contact.patches import functions as patch_functions
 from warpcontact.kernels.body_contact.polygons import RULE_SIZE, clipped, corner, quadrature_point, signed_area
 from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
 from warpcontact.kernels.body_contact.solids import HALF_SPACE, OPEN, Geometries, Solids, inverse_pose
@@ -69,7 +80,8 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
     """Returns the force kernel of body contacts with one contact model; items: pairs.
 
     Args:
-        contact_model: Classes of law and friction models, without history variables.
+        contact_model: Classes of law and friction models. The law has no history variables. A friction model with history
+            variables acts once per patch, another one at each point of the area.
         real: Precision of state, law and friction. Geometry is in float64.
         per_area: Whether the law is a pressure; otherwise its mean over the area of the columns is the normal force.
         has_joints: Whether the effective mass includes the joints of bodies.
@@ -79,7 +91,10 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
-    evaluate_contact = functions(contact_model, real, has_joints).evaluate_contact
+    has_patches = bool(contact_model.friction.memories)
+    evaluate_contact = functions(contact_model, real, has_joints, has_friction=not has_patches).evaluate_contact
+    friction = patch_functions(contact_model.friction, real)
+    friction_of_patch, clear_history = friction.friction, friction.clear_history
     pair_pose = solid_functions.functions(real).pair_pose
     frame = frame_functions(real)
     wide, narrow = frame.wide, frame.narrow
@@ -97,7 +112,10 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
         pairs: SolidPairs,
         settings: wp.array2d(dtype=BodyContactSettings),
         coefficients: Coefficients,
-        history: MaterialHistory,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
+        patches_in: Patches,
+        patches_out: Patches,
         body_contacts: BodyContacts,
         ends: CouplingWrenches,
     ):
@@ -132,6 +150,13 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                         contact_status = WRONG_SIDE
 
             sums = ColumnSums()
+            sums_of_patches = patch_sums()
+            normals = patch_normals()
+            if wp.static(has_patches):
+                for patch in range(PATCH_COUNT):
+                    normal = patches_in.normal[env, PATCH_COUNT * pair + patch]
+                    for i in range(3):
+                        normals[patch, i] = normal[i]
             second_is_reference = (second.flags & (HALF_SPACE | OPEN)) != 0
             half_space = (second.flags & HALF_SPACE) != 0
             families = wp.int32(0)
@@ -163,6 +188,10 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                     normal_W = rotation * face_plane.normal
                     if family == 1:
                         normal_W = -normal_W
+                    patch = wp.int32(0)
+                    if wp.static(has_patches):
+                        normal_2 = wp.transpose(pose.rotation) * normal_W
+                        patch = patch_of(normals, normal_2)
                     for other_face in range(other.first_face, other.end_face):
                         polygon = column_polygon(geometries, face_plane, other, own_pose, other_face)
                         is_entry = wp.bool(False)
@@ -220,7 +249,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 kinematics.penetration = real(depth)
                                 result = evaluate_contact(
                                     model, state, env, kinematics, body_contacts.entry_speed[env, pair], step[env, 0],
-                                    coefficients, history, history, pair, real(0.0), q_WS,
+                                    coefficients, history_in, history_out, pair, real(0.0), q_WS,
                                 )  # fmt: skip
                                 pressure = double(result.normal_force)
                                 normal_force = weight * pressure
@@ -236,13 +265,45 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 sums.torque_1 += wp.cross(arm_1, force_W)
                                 sums.torque_2 -= wp.cross(arm_2, force_W)
                                 sums.moment += normal_force * arm_1
+                                if wp.static(has_patches):
+                                    normals = with_patch(normals, patch, normal_2)
+                                    sums_of_patches = with_column(
+                                        sums_of_patches, patch, normal_force, arm_1, normal_W
+                                    )
 
-            scale = setting.force_scale
+            # Factor from sums over the area to the force of the contact, without and with ``force_scale``.
+            unscaled = double(1.0)
             if wp.static(not per_area):
                 if sums.area > double(0.0):
-                    scale = scale / sums.area
-                else:
-                    scale = double(0.0)
+                    unscaled = double(1.0) / sums.area
+            scale = unscaled * setting.force_scale
+            if wp.static(has_patches):
+                # A new patch cannot have slipped for longer than it took to reach this depth.
+                max_elapsed = real(wp.inf)
+                if body_contacts.entry_speed[env, pair] < real(0.0) and sums.approach_speed > double(0.0):
+                    max_elapsed = real(overlap.depth / sums.approach_speed)
+                for patch in range(PATCH_COUNT):
+                    member = PATCH_COUNT * pair + patch
+                    patch_shape = shape_of_patch(sums_of_patches, patch)
+                    if patch_shape.normal_force <= double(0.0):
+                        patches_out.normal[env, member] = vec3d()
+                        clear_history(history_out.friction, env, member, step[env, 0])
+                        continue
+                    patches_out.normal[env, member] = wp.transpose(pose.rotation) * patch_shape.normal
+                    # The sums are per area, or per contact; the force of the contact is ``scale`` times that.
+                    patch_shape.normal_force = patch_shape.normal_force * unscaled
+                    wrench = friction_of_patch(
+                        state, env, solids.body[solid_1], solids.body[solid_2], patch_shape.center,
+                        patch_shape.center - pose.arm_1 + pose.arm_2, patch_shape,
+                        coefficients.friction[env, pair], history_in.friction, history_out.friction, member,
+                        max_elapsed, step[env, 0], q_WS,
+                    )  # fmt: skip
+                    friction_W = wrench.force / unscaled
+                    torque_W = wrench.torque / unscaled
+                    sums.friction += friction_W
+                    sums.force += friction_W
+                    sums.torque_1 += wp.cross(patch_shape.center, friction_W) + torque_W
+                    sums.torque_2 -= wp.cross(patch_shape.center - pose.arm_1 + pose.arm_2, friction_W) + torque_W
             total_force_W = narrow(scale * sums.force)
             total_torque_W = narrow(scale * sums.torque_1)
             center_W = vec3d()
@@ -274,6 +335,36 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
             ends.torque[env, end + 1] = narrow(scale * sums.torque_2)
 
     return body_contact_forces
+
+
+@functools.cache
+def accept_patches() -> wp.Kernel:
+    """Returns the kernel that stores the patches of accepted steps; items: patches of all pairs."""
+
+    @unique_kernel()
+    def accept_body_contact_patches(
+        launch: LaunchRange, status: wp.array(dtype=wp.int32), patches_out: Patches, patches: Patches
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            patch = task_item(launch, task)
+            if status[env] == ENV_ACTIVE:
+                patches.normal[env, patch] = patches_out.normal[env, patch]
+
+    return accept_body_contact_patches
+
+
+@functools.cache
+def reset_patches() -> wp.Kernel:
+    """Returns the kernel that removes all patches. Launch with dim (env, patch of all pairs)."""
+
+    @unique_kernel(runs_rarely=True)
+    def reset_body_contact_patches(mask: wp.array(dtype=wp.bool), patches: Patches):
+        env, patch = wp.tid()
+        if mask[env]:
+            patches.normal[env, patch] = vec3d()
+
+    return reset_body_contact_patches
 
 
 @functools.cache

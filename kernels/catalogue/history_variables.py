@@ -38,13 +38,14 @@ class Functions(NamedTuple):
 
 
 @functools.cache
-def functions(formula: type[Formula], real: type, along_normal: bool = False) -> Functions:
+def functions(formula: type[Formula], real: type, vectors: str = "tangent") -> Functions:
     """Returns the device functions of one model of a contact.
 
     Args:
         formula: Class of the law or friction model.
         real: Scalar type, ``wp.float32`` or ``wp.float64``.
-        along_normal: Whether its vectors are parallel to the normal, as in torsion, not tangential.
+        vectors: Directions of its vectors: "tangent"; "normal", as in torsion; or "any", if a component along the normal
+            stands for torsion.
     """
     t = structs(real)
     vec3, quat = t.vec3, t.quat
@@ -75,16 +76,18 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
         return v + rotated + wp.cross(axis, rotated) / (real(1.0) + cosine)
 
     @wp.func
-    def project_tangent(v: vec3, n: vec3):
-        """Removes the rounding error normal to the tangent plane, or off the normal with ``along_normal``."""
-        if wp.static(along_normal):
+    def project(v: vec3, n: vec3):
+        """Removes rounding errors from the direction of a vector, as ``vectors`` requires."""
+        if wp.static(vectors == "any"):
+            return v
+        if wp.static(vectors == "normal"):
             return wp.dot(v, n) * n
         return v - wp.dot(v, n) * n
 
     @wp.func
     def to_world(m: Struct, v_S: vec3, q_WS: quat, n_S: vec3):
         """Transports a vector to the present normal and rotates it to world axes."""
-        transported_S = project_tangent(transport(v_S, m._normal, n_S), n_S)
+        transported_S = project(transport(v_S, m._normal, n_S), n_S)
         return with_length(
             wp.quat_rotate(q_WS, transported_S), wp.min(wp.length(v_S), real(1.001) * wp.length(transported_S))
         )

@@ -117,10 +117,16 @@ class Functions(NamedTuple):
 
 
 @functools.cache
-def functions(contact_model: ContactModel, real: type, has_joints: bool = False) -> Functions:
+def functions(
+    contact_model: ContactModel, real: type, has_joints: bool = False, has_friction: bool = True
+) -> Functions:
     """Returns the device functions for the classes of ``contact_model``.
 
-    With ``has_joints``, the mobility of bodies with joints is that of their joint.
+    Args:
+        contact_model: Classes of law and friction models.
+        real: Precision.
+        has_joints: Whether the mobility of bodies with joints is that of their joint.
+        has_friction: Whether friction is computed; otherwise it is zero.
     """
     t = structs(real)
     vec3, quat, Model, State, NormalState, TangentialState = (
@@ -140,7 +146,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
     friction_force, _, clear_friction_history = history_variables.functions(contact_model.friction, real)
     rolling_force, _, clear_rolling_history = history_variables.functions(contact_model.rolling, real)
     torsion_force, _, clear_torsion_history = history_variables.functions(
-        contact_model.torsion, real, along_normal=True
+        contact_model.torsion, real, vectors="normal"
     )
     needs_mass, needs_curvature = contact_model.law.needs_mass, contact_model.law.needs_curvature
     pulls = contact_model.law.pulls
@@ -281,18 +287,20 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
 
         tangential_state = with_velocity(tangential_state, approach * n_W - v_W)
         result.slip_speed = tangential_state.speed
-        friction_W = friction_force(
-            history_in.friction,
-            history_out.friction,
-            env,
-            member,
-            coefficients.friction[env, member],
-            tangential_state,
-            max_elapsed,
-            dt,
-            q_WS,
-            n_W,
-        )
+        friction_W = vec3()
+        if wp.static(has_friction):
+            friction_W = friction_force(
+                history_in.friction,
+                history_out.friction,
+                env,
+                member,
+                coefficients.friction[env, member],
+                tangential_state,
+                max_elapsed,
+                dt,
+                q_WS,
+                n_W,
+            )
 
         torque_W = vec3()
         if wp.static(has_rolling or has_torsion):

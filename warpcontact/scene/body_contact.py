@@ -231,12 +231,21 @@ def _check_material(name: str, material: Any) -> None:
                 f"{name}: its material has {part} {type(formula).__name__}; body contact has no {part} friction, "
                 "because friction over the area resists spin and pressure over the area resists rolling"
             )
-    for part, formula in material.formulas.items():
-        if type(formula).memories:
-            raise ValueError(
-                f"{name}: the {part} of its material, {type(formula).__name__}, has history variables, which body "
-                "contact does not support"
-            )
+    if type(law).memories:
+        raise ValueError(
+            f"{name}: the law of its material, {type(law).__name__}, has history variables, which body contact does not "
+            "support"
+        )
+    if type(friction).memories and (friction.directional or law.pulls):
+        kind = (
+            "depends on the direction of slip"
+            if friction.directional
+            else f"acts with {type(law).__name__}, which pulls"
+        )
+        raise ValueError(
+            f"{name}: the friction of its material, {type(friction).__name__}, has history variables and {kind}; body "
+            "contact does not support both"
+        )
     if law.needs_curvature or friction.needs_radius:
         part, formula = ("law", law) if law.needs_curvature else ("friction", friction)
         raise ValueError(

@@ -11,10 +11,13 @@ from warpcontact.forces.body_contact.solid_tables import SolidTables
 from warpcontact.forces.contact_groups import add_material_parameters, compile_force_kernel
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget
 from warpcontact.forces.sensor import Sensor, shape_in
+from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.body_contact import force
+from warpcontact.kernels.body_contact.patches import PATCH_COUNT, Patches
 from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.shapes.force import advance_history
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.body_contact import BodyContact, reference_share
 from warpcontact.scene.status import ContactStatus
@@ -109,11 +112,19 @@ class BodyContactSet(ForceElement):
         computed = [name for name in BodyContacts.vars if name != "entry_speed"]
         self.body_contacts = layout.struct(_PURPOSE, BodyContacts, per_env(self.count), transient=computed)
         Coefficients, Memory = group_structs(self.parts, self.real)
-        # No part has history variables: dummy arrays.
-        self.coefficients, self.history = Coefficients(), Memory()
+        self.coefficients, self.memory, self.history_out = Coefficients(), Memory(), Memory()
+        # Only friction may have history variables, one set per patch.
+        friction = self.parts.friction
+        self.has_patches = bool(friction.memories)
+        each = per_env(PATCH_COUNT * self.count) if self.has_patches else fixed(1, 1)
         for part, formula in self.parts._asdict().items():
-            struct = memory_struct(formula, self.real)
-            layout.array(_PURPOSE, self.history, part, struct, fixed(1, 1), transient=True)
+            for target in (self.memory, self.history_out):
+                # A dummy array if the formula has no history variables.
+                shape = each if formula.memories else fixed(1, 1)
+                transient = target is self.history_out or not formula.memories
+                layout.array(_PURPOSE, target, part, memory_struct(formula, self.real), shape, transient=transient)
+        self.patches = layout.struct(_PURPOSE, Patches, each, transient=not self.has_patches)
+        self.patches_out = layout.struct(_PURPOSE, Patches, each, transient=True)
 
     def _add_settings(self, parameters: Parameters) -> None:
         self.settings: Any = None
@@ -161,28 +172,44 @@ class BodyContactSet(ForceElement):
             pairs=self.pairs,
             settings=self.settings,
             coefficients=self.coefficients,
-            history=self.history,
+            history_in=self.memory,
+            history_out=self.history_out,
+            patches_in=self.patches,
+            patches_out=self.patches_out,
             body_contacts=self.body_contacts,
             ends=a.coupling_wrenches,
         )
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
-        """Returns the launch that stores entry speeds after an accepted step."""
-        return plan.prepare(
-            force.accept_contacts(self.real),
-            self.count,
-            status=plan.model.arrays.status,
-            body_contacts=self.body_contacts,
+        """Returns the launches that store entry speeds, patches and the history of friction after an accepted step."""
+        status = plan.model.arrays.status
+        launches = plan.prepare(
+            force.accept_contacts(self.real), self.count, status=status, body_contacts=self.body_contacts
         )
+        if self.has_patches:
+            count = PATCH_COUNT * self.count
+            launches += plan.prepare(
+                force.accept_patches(), count, status=status, patches_out=self.patches_out, patches=self.patches
+            )
+            launches += plan.prepare(
+                advance_history(self.parts.friction, self.real),
+                count,
+                status=status,
+                history_out=self.history_out.friction,
+                memory=self.memory.friction,
+            )
+        return launches
 
     def reset_state(self, chosen: wp.array) -> None:
-        """Clears entry speeds in the environments of the mask ``chosen`` [env]."""
-        wp.launch(
-            force.reset_contacts(self.real),
-            dim=(len(chosen), self.count),
-            inputs=[chosen, self.body_contacts],
-            device=chosen.device,
-        )
+        """Clears entry speeds, patches and history in the environments of the mask ``chosen`` [env]."""
+        envs, device = len(chosen), chosen.device
+        inputs = [chosen, self.body_contacts]
+        wp.launch(force.reset_contacts(self.real), dim=(envs, self.count), inputs=inputs, device=device)
+        if self.has_patches:
+            dim = (envs, PATCH_COUNT * self.count)
+            wp.launch(force.reset_patches(), dim=dim, inputs=[chosen, self.patches], device=device)
+            kernel = reset.memory(self.parts.friction, self.real)
+            wp.launch(kernel, dim=dim, inputs=[chosen, self.memory.friction], device=device)
 
     def sensors(self) -> Iterator[Sensor]:
         """Yields the sensors of the body contacts."""

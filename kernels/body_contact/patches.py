@@ -1,0 +1,250 @@
+"""Patches: columns of a pair with similar normals, which share the history of one friction force and torque.
+
+A patch has the center of its pressure, and a friction radius r_f: pure spin at rate ω under Coulomb friction has the torque
+μ N r_f. The slip of a patch is the vector of its tangential velocity and, along the normal, r_f ω. A friction model limits
+the length of the force that opposes this vector, so force and torque are on the ellipse |F|² + (M/r_f)² ≤ (μ N)².
+"""
+
+import functools
+from typing import NamedTuple
+
+import warp as wp
+from warpcontact.kernels.catalogue import history_variables
+from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
+from warpcontact.kernels.frames import functions as frame_functions
+from warpcontact.kernels.types import Struct, structs
+
+real = wp.float64
+vec3d = wp.vec3d
+
+#: Largest number of patches of a pair.
+PATCH_COUNT = 4
+# Cosine of the largest angle, 40°, between the normals of a patch in successive steps, and within a patch.
+SIMILAR = wp.constant(real(0.766))
+TINY = wp.constant(real(1.0e-300))
+
+# Rows: normal force, its moment of first order (3), of second order (xx, yy, zz, xy, xz, yz), sum of normals (3).
+patch_sums = wp.types.matrix(shape=(PATCH_COUNT, 13), dtype=wp.float64)
+patch_normals = wp.types.matrix(shape=(PATCH_COUNT, 3), dtype=wp.float64)
+
+
+@wp.struct
+class Patches:
+    """History of the patches of all pairs: [env, PATCH_COUNT × pair + patch]."""
+
+    normal: wp.array2d(dtype=wp.vec3d)  # in the axes of the second solid; zero: no patch
+
+
+@wp.struct
+class PatchShape:
+    """Distribution of the pressure of a patch."""
+
+    normal_force: wp.float64  # [N]
+    normal: wp.vec3d  # mean, unit, out of the second solid, W
+    center: wp.vec3d  # of pressure, W, relative to the origin of the sums [m]
+    friction_radius: wp.float64  # r_f [m]
+
+
+@wp.func
+def row_vector(rows: patch_normals, i: int):
+    """Returns row ``i`` of a matrix of normals."""
+    return vec3d(rows[i, 0], rows[i, 1], rows[i, 2])
+
+
+@wp.func
+def most_similar(rows: patch_normals, normal: vec3d):
+    """Returns the index of the row with the largest component along ``normal``."""
+    best = wp.int32(0)
+    largest = real(-2.0)
+    for i in range(PATCH_COUNT):
+        similarity = wp.dot(row_vector(rows, i), normal)
+        # Zero rows are free.
+        if wp.length_sq(row_vector(rows, i)) == real(0.0):
+            similarity = real(-2.0)
+        if similarity > largest:
+            largest = similarity
+            best = i
+    return best
+
+
+@wp.func
+def free_row(rows: patch_normals):
+    """Returns the index of the first zero row; −1: there is none."""
+    for i in range(PATCH_COUNT):
+        if wp.length_sq(row_vector(rows, i)) == real(0.0):
+            return i
+    return -1
+
+
+@wp.func
+def patch_of(rows: patch_normals, normal: vec3d):
+    """Returns the patch of columns with ``normal``: one with a similar normal, else a free one, else the most similar."""
+    patch = most_similar(rows, normal)
+    if wp.dot(row_vector(rows, patch), normal) >= SIMILAR:
+        return patch
+    free = free_row(rows)
+    if free >= 0:
+        return free
+    return patch
+
+
+@wp.func
+def with_patch(rows: patch_normals, patch: int, normal: vec3d):
+    """Returns the normals with that of a free patch set to ``normal``."""
+    if wp.length_sq(row_vector(rows, patch)) == real(0.0):
+        for i in range(3):
+            rows[patch, i] = normal[i]
+    return rows
+
+
+@wp.func
+def with_column(sums: patch_sums, patch: int, normal_force: real, position: vec3d, normal: vec3d):
+    """Returns the sums with a column of a patch, at ``position`` relative to their origin, W."""
+    sums[patch, 0] = sums[patch, 0] + normal_force
+    for i in range(3):
+        sums[patch, 1 + i] = sums[patch, 1 + i] + normal_force * position[i]
+        sums[patch, 4 + i] = sums[patch, 4 + i] + normal_force * position[i] * position[i]
+        sums[patch, 10 + i] = sums[patch, 10 + i] + normal_force * normal[i]
+    sums[patch, 7] = sums[patch, 7] + normal_force * position[0] * position[1]
+    sums[patch, 8] = sums[patch, 8] + normal_force * position[0] * position[2]
+    sums[patch, 9] = sums[patch, 9] + normal_force * position[1] * position[2]
+    return sums
+
+
+@wp.func
+def friction_radius(variance_1: real, variance_2: real):
+    """Returns the mean distance from the center of a uniformly loaded rectangle with these variances along its sides [m].
+
+    It is exact for rectangles, and 0.6 % too small for a disc.
+    """
+    a = wp.sqrt(real(12.0) * wp.max(variance_1, TINY))
+    b = wp.sqrt(real(12.0) * wp.max(variance_2, TINY))
+    short = wp.min(a, b)
+    long = wp.max(a, b)
+    diagonal = wp.sqrt(a * a + b * b)
+    # asinh(x) = log(x + √(x² + 1)); for a line, short² asinh(long/short) tends to 0.
+    ratio = short / long
+    across = real(0.0)
+    if ratio > real(1.0e-9):
+        inverse = real(1.0) / ratio
+        across = short * short / (real(12.0) * long) * wp.log(inverse + wp.sqrt(inverse * inverse + real(1.0)))
+    along = real(0.25) * long
+    if ratio > real(1.0e-9):
+        along = long * long / (real(12.0) * short) * wp.log(ratio + wp.sqrt(ratio * ratio + real(1.0)))
+    else:
+        along = long / real(12.0)
+    return diagonal / real(6.0) + across + along
+
+
+@wp.func
+def shape_of_patch(sums: patch_sums, patch: int):
+    """Returns the distribution of the pressure of a patch; its normal force is 0 or less if there is none."""
+    shape = PatchShape()
+    force = sums[patch, 0]
+    shape.normal_force = force
+    if force <= real(0.0):
+        return shape
+    center = vec3d(sums[patch, 1], sums[patch, 2], sums[patch, 3]) / force
+    shape.center = center
+    shape.normal = wp.normalize(vec3d(sums[patch, 10], sums[patch, 11], sums[patch, 12]))
+    covariance = wp.mat33d(
+        sums[patch, 4] / force - center[0] * center[0],
+        sums[patch, 7] / force - center[0] * center[1],
+        sums[patch, 8] / force - center[0] * center[2],
+        sums[patch, 7] / force - center[0] * center[1],
+        sums[patch, 5] / force - center[1] * center[1],
+        sums[patch, 9] / force - center[1] * center[2],
+        sums[patch, 8] / force - center[0] * center[2],
+        sums[patch, 9] / force - center[1] * center[2],
+        sums[patch, 6] / force - center[2] * center[2],
+    )
+    # Principal variances in the tangent plane.
+    n = shape.normal
+    helper = vec3d(real(1.0), real(0.0), real(0.0))
+    if wp.abs(n[0]) > real(0.7):
+        helper = vec3d(real(0.0), real(1.0), real(0.0))
+    u = wp.normalize(wp.cross(n, helper))
+    v = wp.cross(n, u)
+    uu = wp.dot(u, covariance * u)
+    vv = wp.dot(v, covariance * v)
+    uv = wp.dot(u, covariance * v)
+    mean = real(0.5) * (uu + vv)
+    difference = wp.sqrt(real(0.25) * (uu - vv) * (uu - vv) + uv * uv)
+    shape.friction_radius = friction_radius(mean + difference, mean - difference)
+    return shape
+
+
+class Functions(NamedTuple):
+    """Device functions of the friction of patches."""
+
+    #: ``(state, env, body_1, body_2, arm_1, arm_2, shape, coefficients, history_in, history_out, member, max_elapsed,
+    #: dt, q_WS)``: returns friction force (3) and torque along the normal (3) on the first body, W, as a ``FrictionWrench``.
+    friction: wp.Function
+    #: ``(history_out, env, member, dt)``: clears the history of a patch.
+    clear_history: wp.Function
+
+
+@wp.struct
+class FrictionWrench:
+    """Friction of a patch, at its center; W."""
+
+    force: wp.vec3d  # on the first body [N]
+    torque: wp.vec3d  # on the first body [N·m]
+
+
+@functools.cache
+def functions(friction: type[Formula], real_type: type) -> Functions:
+    """Returns the device functions of the friction of patches with one friction model."""
+    t = structs(real_type)
+    vec3, quat, State, TangentialState = t.vec3, t.quat, t.State, t.TangentialState
+    Coefficients: Struct = coefficient_struct(friction, real_type)
+    Memory = wp.array2d(dtype=history_variables.memory_struct(friction, real_type))
+    evaluate, _, clear_history = history_variables.functions(friction, real_type, vectors="any")
+    frame = frame_functions(real_type)
+    velocity_at, wide, narrow = frame.velocity_at, frame.wide, frame.narrow
+
+    @wp.func
+    def angular_velocity(state: State, env: int, body: int):
+        if body < 0:
+            return vec3()
+        return state.body_angular_velocity[env, body]
+
+    @wp.func
+    def friction_of_patch(
+        state: State,
+        env: int,
+        body_1: int,
+        body_2: int,
+        arm_1: vec3d,
+        arm_2: vec3d,
+        shape: PatchShape,
+        coefficients: Coefficients,
+        history_in: Memory,
+        history_out: Memory,
+        member: int,
+        max_elapsed: real_type,
+        dt: real_type,
+        q_WS: quat,
+    ):
+        slip = velocity_at(state, env, body_1, narrow(arm_1)) - velocity_at(state, env, body_2, narrow(arm_2))
+        spin = angular_velocity(state, env, body_1) - angular_velocity(state, env, body_2)
+        n_W = narrow(shape.normal)
+        radius = real_type(shape.friction_radius)
+        velocity = slip - wp.dot(slip, n_W) * n_W + (radius * wp.dot(spin, n_W)) * n_W
+        tangential_state = TangentialState()
+        tangential_state.normal = n_W
+        tangential_state.normal_force = real_type(shape.normal_force)
+        tangential_state.velocity = velocity
+        tangential_state.speed = wp.length(velocity)
+        force = wide(
+            evaluate(
+                history_in, history_out, env, member, coefficients, tangential_state, max_elapsed, dt, q_WS, n_W
+            )
+        )
+        along = wp.dot(force, shape.normal)
+        result = FrictionWrench()
+        result.force = force - along * shape.normal
+        result.torque = (shape.friction_radius * along) * shape.normal
+        return result
+
+    return Functions(friction=friction_of_patch, clear_history=clear_history)
