@@ -13,13 +13,7 @@ share of each solid as the reference, which is larger for the solid whose surfac
 """
 
 import warp as wp
-from warpcontact.kernels.body_contact.polygons import (
-    Polygon,
-    clipped,
-    corner,
-    polygon_area,
-    with_corner,
-)
+from warpcontact.kernels.body_contact.polygons import MAX_CORNERS, Polygon, corner, polygon_area
 from warpcontact.kernels.body_contact.solids import (
     CONVEX,
     HALF_SPACE,
@@ -45,29 +39,37 @@ PARALLEL = wp.constant(real(1.0e-12))
 OFFSET = wp.constant(real(1.0e-12))
 INFINITE = wp.constant(real(wp.inf))
 
+corner_coordinates = wp.types.matrix(shape=(4, 2), dtype=real)
+corner_buffers = wp.types.matrix(shape=(2 * MAX_CORNERS, 3), dtype=real)
+
 
 @wp.struct
 class Side:
-    """One solid of a pair, with the columns that stand on the faces of the other one or on its own."""
+    """One solid of a pair."""
 
     first_face: wp.int32
     end_face: wp.int32
     flags: wp.int32  # of its geometry
     scale: vec3d  # [m per unit]
-    center: vec3d  # of a bounding sphere [m]
-    radius: real  # of the bounding sphere [m]
+    center: vec3d  # of its bounding box [m]
+    half_extents: vec3d  # of its bounding box [m]
 
 
 @wp.struct
 class FaceFrame:
-    """The plane of a face, in the frame of its solid."""
+    """The plane of a face, in the frame of its solid, and the other solid as seen from it."""
 
     origin: vec3d  # [m]
     u_axis: vec3d
     v_axis: vec3d
     normal: vec3d  # outward
     count: wp.int32  # number of corners; 0: the whole plane
-    corners: wp.types.matrix(shape=(4, 2), dtype=wp.float64)  # rows (u, v) [m]
+    corners: corner_coordinates  # rows (u, v) [m]
+    lower: wp.vec2d  # smallest u and v [m]
+    upper: wp.vec2d  # largest u and v [m]
+    # A point of the other solid has (u, v, t) = projection · point + shift.
+    projection: wp.mat33d
+    shift: vec3d  # [m]
 
 
 @wp.struct
@@ -95,31 +97,45 @@ def side_of(geometries: Geometries, pose: SolidPose):
     side.flags = geometries.flags[pose.geometry]
     side.scale = pose.scale
     side.center = scaled(geometries.center[pose.geometry], pose.scale)
-    side.radius = geometries.radius[pose.geometry] * wp.max(wp.max(pose.scale[0], pose.scale[1]), pose.scale[2])
+    side.half_extents = scaled(geometries.half_extents[pose.geometry], pose.scale)
     return side
 
 
 @wp.func
-def face_frame(geometries: Geometries, side: Side, face: int):
-    """Returns the plane of a face; of a half-space, the plane z = 0."""
+def plane_offset(geometries: Geometries, side: Side, face: int):
+    """Returns the offset of the plane of a face along its normal [m]."""
+    normal = geometries.normal[face]
+    return geometries.offset[face] * wp.dot(wp.cw_mul(normal, normal), side.scale)
+
+
+@wp.func
+def face_frame(geometries: Geometries, side: Side, other: Side, pose: RelativePose, face: int):
+    """Returns the plane of a face, and the other solid of relative pose ``pose`` as seen from it.
+
+    The plane of a half-space is z = 0.
+    """
     frame = FaceFrame()
     if side.flags & HALF_SPACE:
         frame.u_axis = vec3d(real(1.0), real(0.0), real(0.0))
         frame.v_axis = vec3d(real(0.0), real(1.0), real(0.0))
         frame.normal = vec3d(real(0.0), real(0.0), real(1.0))
-        return frame
-    vertices = geometries.face[face]
-    frame.origin = face_vertex(geometries, vertices, 0, side.scale)
-    along = face_vertex(geometries, vertices, 1, side.scale) - frame.origin
-    across = face_vertex(geometries, vertices, 2, side.scale) - frame.origin
-    frame.u_axis = wp.normalize(along)
-    frame.normal = wp.normalize(wp.cross(along, across))
-    frame.v_axis = wp.cross(frame.normal, frame.u_axis)
-    frame.count = corner_count(vertices)
-    for i in range(frame.count):
-        position = face_vertex(geometries, vertices, i, side.scale) - frame.origin
-        frame.corners[i, 0] = wp.dot(frame.u_axis, position)
-        frame.corners[i, 1] = wp.dot(frame.v_axis, position)
+    else:
+        vertices = geometries.face[face]
+        frame.origin = face_vertex(geometries, vertices, 0, side.scale)
+        frame.normal = geometries.normal[face]
+        frame.u_axis = geometries.u_axis[face]
+        frame.v_axis = wp.cross(frame.normal, frame.u_axis)
+        frame.count = corner_count(vertices)
+        for i in range(1, frame.count):
+            position = face_vertex(geometries, vertices, i, side.scale) - frame.origin
+            coordinates = wp.vec2d(wp.dot(frame.u_axis, position), wp.dot(frame.v_axis, position))
+            frame.corners[i, 0] = coordinates[0]
+            frame.corners[i, 1] = coordinates[1]
+            frame.lower = wp.min(frame.lower, coordinates)
+            frame.upper = wp.max(frame.upper, coordinates)
+    axes = wp.matrix_from_rows(frame.u_axis, frame.v_axis, -frame.normal)
+    frame.projection = axes * pose.rotation
+    frame.shift = axes * (pose.origin - frame.origin)
     return frame
 
 
@@ -130,47 +146,134 @@ def position_on_face(frame: FaceFrame, u: real, v: real):
 
 
 @wp.func
-def is_above(frame: FaceFrame, other: Side, pose: RelativePose):
-    """Returns whether the other solid, of relative pose ``pose``, is outside the plane of a face."""
-    center = pose.origin + pose.rotation * other.center
-    return wp.dot(frame.normal, center - frame.origin) - other.radius >= real(0.0)
+def is_apart(frame: FaceFrame, other: Side):
+    """Returns whether no point of a face is inside the bounding box of the other solid, whose plane it may not cut.
 
-
-@wp.func
-def column_polygon(geometries: Geometries, frame: FaceFrame, other: Side, pose: RelativePose, face: int):
-    """Returns the base of the columns on a face that cross face ``face`` of the other solid.
-
-    Its corners run clockwise at an exit, and counter-clockwise at an entry.
+    Columns on a half-space also pass through solids that are wholly below its plane.
     """
-    vertices = geometries.face[face]
-    polygon = Polygon()
-    deepest = real(0.0)
-    for i in range(corner_count(vertices)):
-        position = pose.origin + pose.rotation * face_vertex(geometries, vertices, i, other.scale) - frame.origin
-        depth = -wp.dot(frame.normal, position)
-        deepest = wp.max(deepest, depth)
-        polygon = with_corner(
-            polygon, vec3d(wp.dot(frame.u_axis, position), wp.dot(frame.v_axis, position), depth)
-        )
-    if deepest == real(0.0):
-        return Polygon()
-    polygon = clipped(polygon, vec3d(real(0.0), real(0.0), real(1.0)), real(0.0))
-    for i in range(frame.count):
-        following = i + 1
-        if following == frame.count:
-            following = 0
-        along = wp.vec2d(
-            frame.corners[following, 0] - frame.corners[i, 0], frame.corners[following, 1] - frame.corners[i, 1]
-        )
-        inward = vec3d(-along[1], along[0], real(0.0))
-        offset = along[1] * frame.corners[i, 0] - along[0] * frame.corners[i, 1]
-        polygon = clipped(polygon, inward, offset)
-    return polygon
+    center = frame.projection * other.center + frame.shift
+    reach = vec3d()
+    for i in range(3):
+        for k in range(3):
+            reach[i] = reach[i] + wp.abs(frame.projection[i, k]) * other.half_extents[k]
+    if center[2] + reach[2] <= real(0.0):
+        return True
+    if frame.count == 0:
+        return False
+    if center[2] - reach[2] >= real(0.0):
+        return True
+    apart_u = center[0] + reach[0] <= frame.lower[0] or center[0] - reach[0] >= frame.upper[0]
+    apart_v = center[1] + reach[1] <= frame.lower[1] or center[1] - reach[1] >= frame.upper[1]
+    return apart_u or apart_v
 
 
 @wp.func
-def is_on_face(geometries: Geometries, side: Side, vertices: wp.vec4i, normal: vec3d, position: vec3d):
+def is_exit(geometries: Geometries, frame: FaceFrame, face: int):
+    """Returns whether columns leave the other solid at one of its faces; otherwise they enter it there."""
+    inward = vec3d(frame.projection[2, 0], frame.projection[2, 1], frame.projection[2, 2])
+    return wp.dot(inward, geometries.normal[face]) > real(0.0)
+
+
+@wp.func
+def column_polygon(
+    geometries: Geometries, frame: FaceFrame, other: Side, face: int, shallowest: real, deepest: real
+):
+    """Returns the base of the columns on a face that cross a face of the other solid at a depth within two limits.
+
+    Args:
+        geometries: The geometries.
+        frame: The face on which the columns stand.
+        other: The other solid.
+        face: The face of the other solid.
+        shallowest: Smallest depth, 0 or more [m].
+        deepest: Largest depth [m].
+
+    Returns:
+        The ``Polygon``. Its corners run clockwise at an exit, and counter-clockwise at an entry.
+    """
+    result = Polygon()
+    # The third row of the projection is the inward normal.
+    inward = vec3d(frame.projection[2, 0], frame.projection[2, 1], frame.projection[2, 2])
+    if wp.abs(wp.dot(inward, geometries.normal[face])) < PARALLEL:
+        return result
+    vertices = geometries.face[face]
+    count = corner_count(vertices)
+    # Two buffers of corners: each cut reads one and writes the other.
+    rows = corner_buffers()
+    lower = vec3d(INFINITE, INFINITE, INFINITE)
+    upper = -lower
+    for i in range(count):
+        position = frame.projection * face_vertex(geometries, vertices, i, other.scale) + frame.shift
+        lower = wp.min(lower, position)
+        upper = wp.max(upper, position)
+        for k in range(3):
+            rows[i, k] = position[k]
+    if upper[2] <= shallowest or lower[2] >= deepest:
+        return result
+    if frame.count > 0:
+        if (
+            upper[0] <= frame.lower[0]
+            or upper[1] <= frame.lower[1]
+            or lower[0] >= frame.upper[0]
+            or lower[1] >= frame.upper[1]
+        ):
+            return result
+    source = wp.int32(0)
+    for cut in range(2 + frame.count):
+        # Corners with factors · (u, v, t) + offset ≥ 0 remain.
+        factors = vec3d(real(0.0), real(0.0), real(1.0))
+        offset = -shallowest
+        if cut == 0:
+            if lower[2] >= shallowest:
+                continue
+        elif cut == 1:
+            if upper[2] <= deepest:
+                continue
+            factors = vec3d(real(0.0), real(0.0), real(-1.0))
+            offset = deepest
+        else:
+            start = cut - 2
+            end = start + 1
+            if end == frame.count:
+                end = 0
+            along_u = frame.corners[end, 0] - frame.corners[start, 0]
+            along_v = frame.corners[end, 1] - frame.corners[start, 1]
+            factors = vec3d(-along_v, along_u, real(0.0))
+            offset = along_v * frame.corners[start, 0] - along_u * frame.corners[start, 1]
+        target = MAX_CORNERS - source
+        kept = wp.int32(0)
+        previous = vec3d(rows[source + count - 1, 0], rows[source + count - 1, 1], rows[source + count - 1, 2])
+        previous_value = wp.dot(factors, previous) + offset
+        for i in range(count):
+            current = vec3d(rows[source + i, 0], rows[source + i, 1], rows[source + i, 2])
+            value = wp.dot(factors, current) + offset
+            if (value >= real(0.0)) != (previous_value >= real(0.0)) and kept < MAX_CORNERS:
+                crossing = previous + (previous_value / (previous_value - value)) * (current - previous)
+                for k in range(3):
+                    rows[target + kept, k] = crossing[k]
+                kept += 1
+            if value >= real(0.0) and kept < MAX_CORNERS:
+                for k in range(3):
+                    rows[target + kept, k] = current[k]
+                kept += 1
+            previous = current
+            previous_value = value
+        source = target
+        count = kept
+        if count < 3:
+            return result
+    result.count = count
+    for i in range(count):
+        for k in range(3):
+            result.corners[i, k] = rows[source + i, k]
+    return result
+
+
+@wp.func
+def is_on_face(geometries: Geometries, side: Side, face: int, position: vec3d):
     """Returns whether a point of the plane of a face is on the face."""
+    normal = geometries.normal[face]
+    vertices = geometries.face[face]
     count = corner_count(vertices)
     previous = face_vertex(geometries, vertices, count - 1, side.scale)
     for i in range(count):
@@ -179,15 +282,6 @@ def is_on_face(geometries: Geometries, side: Side, vertices: wp.vec4i, normal: v
             return False
         previous = current
     return True
-
-
-@wp.func
-def face_normal(geometries: Geometries, side: Side, vertices: wp.vec4i):
-    """Returns the outward unit normal of a face."""
-    origin = face_vertex(geometries, vertices, 0, side.scale)
-    along = face_vertex(geometries, vertices, 1, side.scale) - origin
-    across = face_vertex(geometries, vertices, 2, side.scale) - origin
-    return wp.normalize(wp.cross(along, across))
 
 
 @wp.func
@@ -205,16 +299,15 @@ def first_crossing(geometries: Geometries, side: Side, origin: vec3d, direction:
     result.distance = INFINITE
     convex = (side.flags & CONVEX) != 0
     for face in range(side.first_face, side.end_face):
-        vertices = geometries.face[face]
-        normal = face_normal(geometries, side, vertices)
+        normal = geometries.normal[face]
         cosine = wp.dot(normal, direction)
         if wp.abs(cosine) < PARALLEL or ((only_exits or convex) and cosine < real(0.0)):
             continue
-        distance = wp.dot(normal, face_vertex(geometries, vertices, 0, side.scale) - origin) / cosine
-        if distance < OFFSET * side.radius or distance >= result.distance:
+        distance = (plane_offset(geometries, side, face) - wp.dot(normal, origin)) / cosine
+        if distance < OFFSET * wp.length(side.half_extents) or distance >= result.distance:
             continue
         if not convex:
-            if not is_on_face(geometries, side, vertices, normal, origin + distance * direction):
+            if not is_on_face(geometries, side, face, origin + distance * direction):
                 continue
         result.distance = distance
         result.leaves = wp.where(cosine > real(0.0), 1, 0)
@@ -230,12 +323,13 @@ def distance_to_segment(position: vec3d, start: vec3d, end: vec3d):
 
 
 @wp.func
-def distance_to_face(geometries: Geometries, side: Side, vertices: wp.vec4i, position: vec3d):
+def distance_to_face(geometries: Geometries, side: Side, face: int, position: vec3d):
     """Returns the distance of a point from a face [m]."""
-    normal = face_normal(geometries, side, vertices)
-    height = wp.dot(normal, position - face_vertex(geometries, vertices, 0, side.scale))
-    if is_on_face(geometries, side, vertices, normal, position - height * normal):
+    normal = geometries.normal[face]
+    height = wp.dot(normal, position) - plane_offset(geometries, side, face)
+    if is_on_face(geometries, side, face, position - height * normal):
         return wp.abs(height)
+    vertices = geometries.face[face]
     count = corner_count(vertices)
     previous = face_vertex(geometries, vertices, count - 1, side.scale)
     least = INFINITE
@@ -265,13 +359,10 @@ def depth_below_surface(geometries: Geometries, side: Side, position: vec3d, dir
             return real(0.0)
     depth = INFINITE
     for face in range(side.first_face, side.end_face):
-        vertices = geometries.face[face]
         if convex:
-            normal = face_normal(geometries, side, vertices)
-            height = wp.dot(normal, face_vertex(geometries, vertices, 0, side.scale) - position)
-            depth = wp.min(depth, height)
+            depth = wp.min(depth, plane_offset(geometries, side, face) - wp.dot(geometries.normal[face], position))
         else:
-            depth = wp.min(depth, distance_to_face(geometries, side, vertices, position))
+            depth = wp.min(depth, distance_to_face(geometries, side, face, position))
     return depth
 
 
@@ -322,12 +413,12 @@ def overlap_of(geometries: Geometries, first: Side, second: Side, first_in_secon
         total = real(0.0)
         total_vector = vec3d()
         for face in range(own.first_face, own.end_face):
-            frame = face_frame(geometries, own, face)
-            if is_above(frame, other, pose):
+            frame = face_frame(geometries, own, other, pose, face)
+            if is_apart(frame, other):
                 continue
             area = real(0.0)
             for other_face in range(other.first_face, other.end_face):
-                polygon = column_polygon(geometries, frame, other, pose, other_face)
+                polygon = column_polygon(geometries, frame, other, other_face, real(0.0), INFINITE)
                 if polygon.count == 0:
                     continue
                 signed = polygon_area(polygon)

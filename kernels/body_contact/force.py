@@ -6,6 +6,7 @@ import warp as wp
 from warpcontact.kernels.body_contact import solids as solid_functions
 from warpcontact.kernels.body_contact.columns import (
     FULL_WEIGHT,
+    INFINITE,
     NO_WEIGHT,
     OFFSET,
     Overlap,
@@ -13,7 +14,8 @@ from warpcontact.kernels.body_contact.columns import (
     column_weight,
     face_frame,
     first_crossing,
-    is_above,
+    is_apart,
+    is_exit,
     overlap_of,
     position_on_face,
     side_of,
@@ -29,7 +31,7 @@ from warpcontact.kernels.body_contact.patches import (
     with_patch,
 )
 from warpcontact.kernels.body_contact.patches import functions as patch_functions
-from warpcontact.kernels.body_contact.polygons import RULE_SIZE, clipped, corner, quadrature_point, signed_area
+from warpcontact.kernels.body_contact.polygons import RULE_SIZE, corner, quadrature_point, signed_area
 from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
 from warpcontact.kernels.body_contact.solids import HALF_SPACE, OPEN, Geometries, Solids, inverse_pose
 from warpcontact.kernels.contact.contact_evaluation import (
@@ -139,7 +141,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 between = (
                     pose.first_in_second.origin + pose.first_in_second.rotation * first.center - second.center
                 )
-                reach = first.radius + second.radius
+                reach = wp.length(first.half_extents) + wp.length(second.half_extents)
                 if (second.flags & HALF_SPACE) != 0 or wp.dot(between, between) < reach * reach:
                     overlap = overlap_of(geometries, first, second, pose.first_in_second)
                     if setting.reference >= double(0.0) and (second.flags & (HALF_SPACE | OPEN)) == 0:
@@ -159,6 +161,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                         normals[patch, i] = normal[i]
             second_is_reference = (second.flags & (HALF_SPACE | OPEN)) != 0
             half_space = (second.flags & HALF_SPACE) != 0
+            part_count = wp.where(half_space, 1, 2)
             families = wp.int32(0)
             q = pose.orientation
             q_WS = quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
@@ -166,6 +169,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 families = wp.where(second_is_reference, 1, 2)
             for family in range(families):
                 share = overlap.share
+                kappa = setting.kappa
                 own = second
                 other = first
                 own_pose = pose.first_in_second
@@ -173,6 +177,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 origin = vec3d()
                 if family == 1:
                     share = double(1.0) - overlap.share
+                    kappa = double(1.0) - setting.kappa
                     own = first
                     other = second
                     own_pose = inverse_pose(pose.first_in_second)
@@ -181,8 +186,8 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 if share == double(0.0):
                     continue
                 for face in range(own.first_face, own.end_face):
-                    face_plane = face_frame(geometries, own, face)
-                    if is_above(face_plane, other, own_pose):
+                    face_plane = face_frame(geometries, own, other, own_pose, face)
+                    if is_apart(face_plane, other):
                         continue
                     # Out of the second solid.
                     normal_W = rotation * face_plane.normal
@@ -193,27 +198,17 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                         normal_2 = wp.transpose(pose.rotation) * normal_W
                         patch = patch_of(normals, normal_2)
                     for other_face in range(other.first_face, other.end_face):
-                        polygon = column_polygon(geometries, face_plane, other, own_pose, other_face)
-                        is_entry = wp.bool(False)
-                        if polygon.count > 0:
-                            is_entry = signed_area(
-                                corner(polygon, 0), corner(polygon, 1), corner(polygon, 2)
-                            ) > double(0.0)
+                        is_entry = not is_exit(geometries, face_plane, other_face)
                         # The weight is a polynomial below and above FULL_WEIGHT × D.
-                        part_count = wp.where(half_space or is_entry, 1, 2)
                         for part in range(part_count):
-                            piece = polygon
-                            if part_count == 2:
-                                middle = FULL_WEIGHT * overlap.depth
-                                if part == 0:
-                                    piece = clipped(piece, vec3d(double(0.0), double(0.0), double(-1.0)), middle)
-                                else:
-                                    piece = clipped(piece, vec3d(double(0.0), double(0.0), double(1.0)), -middle)
-                                    piece = clipped(
-                                        piece,
-                                        vec3d(double(0.0), double(0.0), double(-1.0)),
-                                        NO_WEIGHT * overlap.depth,
-                                    )
+                            shallowest = double(0.0)
+                            deepest = FULL_WEIGHT * overlap.depth
+                            if half_space:
+                                deepest = INFINITE
+                            elif part == 1:
+                                shallowest = deepest
+                                deepest = NO_WEIGHT * overlap.depth
+                            piece = column_polygon(geometries, face_plane, other, other_face, shallowest, deepest)
                             for number in range(RULE_SIZE * wp.max(piece.count - 2, 0)):
                                 triangle = number // RULE_SIZE
                                 corner_0 = corner(piece, 0)
@@ -226,17 +221,15 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 depth = point.depth
                                 if is_entry and not half_space:
                                     # Columns of the next exit do not reach it.
-                                    if depth >= NO_WEIGHT * overlap.depth:
-                                        continue
                                     to_other = wp.transpose(own_pose.rotation)
                                     direction = -(to_other * face_plane.normal)
                                     start = to_other * (base - depth * face_plane.normal - own_pose.origin)
-                                    start += OFFSET * other.radius * direction
+                                    start += OFFSET * wp.length(other.half_extents) * direction
                                     depth += first_crossing(geometries, other, start, direction, True).distance
                                 weight = share * area * column_weight(depth, overlap, half_space)
                                 if weight == double(0.0):
                                     continue
-                                acting = base - setting.kappa * depth * face_plane.normal
+                                acting = base - kappa * depth * face_plane.normal
                                 offset = origin + rotation * acting
                                 arm_1 = pose.arm_1 + offset
                                 arm_2 = pose.arm_2 + offset

@@ -50,40 +50,6 @@ def corner(polygon: Polygon, i: int):
 
 
 @wp.func
-def with_corner(polygon: Polygon, position: wp.vec3d):
-    """Returns the polygon with one more corner; unchanged if it is full."""
-    if polygon.count < MAX_CORNERS:
-        polygon.corners[polygon.count, 0] = position[0]
-        polygon.corners[polygon.count, 1] = position[1]
-        polygon.corners[polygon.count, 2] = position[2]
-        polygon.count = polygon.count + 1
-    return polygon
-
-
-@wp.func
-def clipped(polygon: Polygon, factors: wp.vec3d, offset: real):
-    """Returns the part of the polygon where ``factors`` · (u, v, t) + ``offset`` ≥ 0."""
-    if polygon.count < 3:
-        return Polygon()
-    result = Polygon()
-    previous = corner(polygon, polygon.count - 1)
-    previous_value = wp.dot(factors, previous) + offset
-    for i in range(polygon.count):
-        current = corner(polygon, i)
-        value = wp.dot(factors, current) + offset
-        if (value >= real(0.0)) != (previous_value >= real(0.0)):
-            fraction = previous_value / (previous_value - value)
-            result = with_corner(result, previous + fraction * (current - previous))
-        if value >= real(0.0):
-            result = with_corner(result, current)
-        previous = current
-        previous_value = value
-    if result.count < 3:
-        result.count = 0
-    return result
-
-
-@wp.func
 def signed_area(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d):
     """Returns the area of a triangle in the plane of u and v, positive if its corners run counter-clockwise [m²]."""
     return real(0.5) * (

@@ -1,7 +1,8 @@
 """Solids: polyhedra with convex faces of up to four corners, and half-spaces, on bodies or the world.
 
 A geometry is a polyhedron in coordinates of its own; a solid is a geometry with a scale and a pose. Faces run
-counter-clockwise as seen from outside.
+counter-clockwise as seen from outside. A scale that differs between the axes is allowed for boxes only, whose normals and
+edges it does not turn.
 """
 
 import functools
@@ -24,10 +25,13 @@ class Geometries:
 
     vertex: wp.array(dtype=wp.vec3d)  # [vertex] [unit of the geometry]
     face: wp.array(dtype=wp.vec4i)  # [face] vertices; the last is −1 for a triangle
+    normal: wp.array(dtype=wp.vec3d)  # [face] unit, outward
+    u_axis: wp.array(dtype=wp.vec3d)  # [face] unit, along its first edge
+    offset: wp.array(dtype=wp.float64)  # [face] of its plane along the normal [unit of the geometry]
     face_start: wp.array(dtype=wp.int32)  # [geometry + 1]
     flags: wp.array(dtype=wp.int32)  # [geometry] CONVEX, HALF_SPACE, OPEN
-    center: wp.array(dtype=wp.vec3d)  # [geometry] of a bounding sphere [unit of the geometry]
-    radius: wp.array(dtype=wp.float64)  # [geometry] of the bounding sphere
+    center: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]
+    half_extents: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]
 
 
 @wp.struct

@@ -58,11 +58,18 @@ class Polyhedron:
         return cls(vertices, np.array(faces, dtype=np.int32), is_closed=True, is_convex=True)
 
     @property
-    def bounding_sphere(self) -> tuple[Array, float]:
-        """Center (3,) and radius of a sphere around the polyhedron."""
+    def bounds(self) -> tuple[Array, Array]:
+        """Smallest and largest coordinates, (3,) each."""
         used = self.vertices[np.unique(self.faces[self.faces >= 0])]
-        center = 0.5 * (used.min(axis=0) + used.max(axis=0))
-        return center, float(np.linalg.norm(used - center, axis=1).max())
+        return used.min(axis=0), used.max(axis=0)
+
+    def planes(self) -> tuple[Array, Array, Array]:
+        """Returns unit normals (F, 3), unit vectors along the first edges (F, 3), and offsets along the normals (F,)."""
+        normals = _unit_normals(self.vertices, self.faces[:, :3])
+        first, second = (self.vertices[self.faces[:, i]] for i in range(2))
+        along = second - first
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        return normals, along, np.einsum("ij,ij->i", normals, first)
 
 
 def _unit_normals(vertices: Array, triangles: NDArray[np.int32]) -> Array:

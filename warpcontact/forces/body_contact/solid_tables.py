@@ -92,33 +92,32 @@ class SolidTables:
         return self._known[key]
 
     def _declare_geometries(self, layout: "AllocationPlan") -> None:
-        vertices, faces, starts, flags, centers, radii = [], [], [0], [], [], []
-        vertex_count = 0
+        tables: dict[str, Any] = {"vertex": [np.zeros((1, 3))], "face_start": [0], "flags": []}
+        tables |= {name: [] for name in ("face", "normal", "u_axis", "offset", "center", "half_extents")}
+        vertex_count = 1
         for polyhedron in self._polyhedra:
             if polyhedron is None:
-                faces.append(np.zeros((1, 4), dtype=np.int32))
-                flags.append(CONVEX | HALF_SPACE)
-                centers.append(np.zeros(3))
-                radii.append(0.0)
+                tables["face"].append(np.zeros((1, 4), dtype=np.int32))
+                for name, row in (("normal", [[0.0, 0.0, 1.0]]), ("u_axis", [[1.0, 0.0, 0.0]]), ("offset", [0.0])):
+                    tables[name].append(np.array(row))
+                tables["flags"].append(CONVEX | HALF_SPACE)
+                lower = upper = np.zeros(3)
             else:
-                vertices.append(polyhedron.vertices)
+                tables["vertex"].append(polyhedron.vertices)
                 own = polyhedron.faces
-                faces.append(np.where(own >= 0, own + vertex_count, -1))
+                tables["face"].append(np.where(own >= 0, own + vertex_count, -1))
                 vertex_count += len(polyhedron.vertices)
-                flags.append(CONVEX * polyhedron.is_convex | OPEN * (not polyhedron.is_closed))
-                center, radius = polyhedron.bounding_sphere
-                centers.append(center)
-                radii.append(radius)
-            starts.append(starts[-1] + len(faces[-1]))
-        for name, values, dtype in (
-            ("vertex", np.concatenate(vertices or [np.zeros((1, 3))]), wp.vec3d),
-            ("face", np.concatenate(faces), wp.vec4i),
-            ("face_start", starts, wp.int32),
-            ("flags", flags, wp.int32),
-            ("center", np.array(centers), wp.vec3d),
-            ("radius", radii, wp.float64),
-        ):
-            layout.constant(_PURPOSE, self.geometries, name, values, dtype)
+                for name, values in zip(("normal", "u_axis", "offset"), polyhedron.planes(), strict=True):
+                    tables[name].append(values)
+                tables["flags"].append(CONVEX * polyhedron.is_convex | OPEN * (not polyhedron.is_closed))
+                lower, upper = polyhedron.bounds
+            tables["center"].append(0.5 * (lower + upper))
+            tables["half_extents"].append(0.5 * (upper - lower))
+            tables["face_start"].append(tables["face_start"][-1] + len(tables["face"][-1]))
+        for name in ("vertex", "face", "normal", "u_axis", "offset"):
+            tables[name] = np.concatenate(tables[name])
+        for name, variable in Geometries.vars.items():
+            layout.constant(_PURPOSE, self.geometries, name, tables[name], variable.type.dtype)
 
     def _pose_parameters(
         self, solid: Solid, parameters: Parameters
