@@ -367,6 +367,29 @@ def depth_below_surface(geometries: Geometries, side: Side, position: vec3d, dir
 
 
 @wp.func
+def depth_bound(geometries: Geometries, frame: FaceFrame, other: Side, pose: RelativePose, polygon: Polygon):
+    """Returns an upper bound on the depth of the points of a polygon below the surface of a convex solid [m].
+
+    The depth is the least distance from a plane, and each distance is largest at a corner.
+    """
+    bound = INFINITE
+    to_other = wp.transpose(pose.rotation)
+    origin = to_other * (frame.origin - pose.origin)
+    u_axis = to_other * frame.u_axis
+    v_axis = to_other * frame.v_axis
+    for face in range(other.first_face, other.end_face):
+        normal = geometries.normal[face]
+        height = plane_offset(geometries, other, face) - wp.dot(normal, origin)
+        along_u = wp.dot(normal, u_axis)
+        along_v = wp.dot(normal, v_axis)
+        largest = -INFINITE
+        for i in range(polygon.count):
+            largest = wp.max(largest, height - along_u * polygon.corners[i, 0] - along_v * polygon.corners[i, 1])
+        bound = wp.min(bound, largest)
+    return bound
+
+
+@wp.func
 def deepest_of(
     geometries: Geometries, frame: FaceFrame, other: Side, pose: RelativePose, polygon: Polygon, deepest: real
 ):
@@ -374,8 +397,11 @@ def deepest_of(
 
     It is evaluated at corners, midpoints of edges and the center. A column is at least as long as its base is deep.
     """
-    center = vec3d()
     count = polygon.count
+    if (other.flags & CONVEX) != 0:
+        if depth_bound(geometries, frame, other, pose, polygon) <= deepest:
+            return deepest
+    center = vec3d()
     direction = -(wp.transpose(pose.rotation) * frame.normal)
     for i in range(2 * count + 1):
         point = corner(polygon, i // 2 % count)
