@@ -23,7 +23,7 @@ from test_meshes import OUTWARD, TETRAHEDRON
 from warpcontact.meshes import MeshError, examine_file, load_mesh
 
 HANG = 20.0  # s
-QUICK, MANY = 40, 200
+QUICK, MANY = 20, 200
 LARGE = 200_000  # bytes; few mutants are made of larger files
 
 
@@ -175,31 +175,36 @@ def sources(tmp_path_factory):
     return originals(tmp_path_factory.mktemp("originals"), shared if shared.is_dir() else None)
 
 
-def fuzz(kind, count, sources, folder):
+@pytest.fixture(scope="module")
+def loader():
+    with Loader() as started:
+        yield started
+
+
+def fuzz(kind, count, sources, folder, loader):
     """Loads ``count`` mutants of a format; returns the number of each result."""
     seen = {"mesh": 0, "refused": 0}
-    with Loader() as loader:
-        for seed in range(count):
-            rng = np.random.default_rng([KINDS.index(kind), seed])
-            path = folder / f"mutant_{seed}.{kind.partition('_')[0]}"
-            path.write_bytes(mutant(sources[kind], rng))
-            answer = loader.load(path)
-            assert answer in seen, (kind, seed, answer)
-            seen[answer] += 1
-            path.unlink()
+    for seed in range(count):
+        rng = np.random.default_rng([KINDS.index(kind), seed])
+        path = folder / f"mutant_{seed}.{kind.partition('_')[0]}"
+        path.write_bytes(mutant(sources[kind], rng))
+        answer = loader.load(path)
+        assert answer in seen, (kind, seed, answer)
+        seen[answer] += 1
+        path.unlink()
     return seen
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_few_mutated_mesh_files_load_or_are_refused(kind, sources, tmp_path):
-    assert fuzz(kind, QUICK, sources, tmp_path)["refused"] > QUICK // 8
+def test_few_mutated_mesh_files_load_or_are_refused(kind, sources, tmp_path, loader):
+    assert fuzz(kind, QUICK, sources, tmp_path, loader)["refused"] > QUICK // 8
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_many_mutated_mesh_files_load_or_are_refused(kind, times, sources, tmp_path):
+def test_many_mutated_mesh_files_load_or_are_refused(kind, times, sources, tmp_path, loader):
     """200, or 1000 with --thorough."""
-    seen = fuzz(kind, MANY * times, sources, tmp_path)
+    seen = fuzz(kind, MANY * times, sources, tmp_path, loader)
     assert seen["refused"] > MANY * times // 8
     assert seen["mesh"] > 0, "every mutant was refused: the mutations are too coarse to find anything"
 
@@ -223,11 +228,11 @@ def test_mutated_mesh_files_are_read_in_a_separate_process(kind, sources, tmp_pa
 def test_mesh_fuzzer_detects_hang_and_crash(tmp_path):
     path = tmp_path / "a.usda"
     path.write_text(doubling(40))
-    with Loader(seconds=1.0, hang=5.0) as loader:
+    with Loader(seconds=0.5, hang=5.0) as loader:
         assert loader.load(path) == "refused"
-    with Loader(seconds=2.0, hang=1.5) as loader:
-        assert loader.load(path).startswith("a hang of 2.")
-    with Loader(seconds=5.0, wait=2.0) as loader:
+    with Loader(seconds=1.0, hang=0.5) as loader:
+        assert loader.load(path).startswith("a hang of 1.")
+    with Loader(seconds=5.0, wait=1.0) as loader:
         assert loader.load(path) == "the process that loads it ended"
         assert loader.load(path) == "the process that loads it ended"
 
