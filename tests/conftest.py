@@ -176,6 +176,15 @@ def copied_run(tmp_path):
     return copy
 
 
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Replaces the pictures of runs in this process by one pixel."""
+    import blank_pictures
+
+    for name in blank_pictures.FUNCTIONS:
+        monkeypatch.setattr(f"{blank_pictures.MODULE}.{name}", blank_pictures.write_blank)
+
+
 @pytest.fixture(autouse=True)
 def fused_kernels(request, monkeypatch):
     """Fuses stages in tests of launch shapes, also if kernels are compiled for short compile times."""

@@ -54,9 +54,12 @@ BLOCK = 4096
 # Three shards on the CPU, with a checkpoint after every chunk of steps.
 OPTIONS = ("--shard", 4, "--device", "cpu", "--checkpoint", 0)
 
-# The command, with a block size that the test sets.
+# The command, with a block size that the test sets, and without a picture.
 _COMMAND = """\
 import sys
+sys.path.append({folder!r})
+import blank_pictures
+blank_pictures.replace_module()
 import warpcontact.experiment.plan as plan
 plan.BLOCK = int(sys.argv.pop(1))
 {first}
@@ -116,7 +119,7 @@ max_neighbors = 1
 
 def start_run(*words, first="", block=BLOCK, **options):
     """Starts ``warpcontact run`` in a subprocess; the code ``first`` is executed before."""
-    code = _COMMAND.format(first=first)
+    code = _COMMAND.format(first=first, folder=str(Path(__file__).parent))
     command = [sys.executable, "-c", code, str(block), "run", *map(str, words)]
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | options
     return subprocess.Popen(command, **options)
