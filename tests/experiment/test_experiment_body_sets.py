@@ -64,6 +64,7 @@ def test_body_set_from_lists_equals_body_set_from_files(folder, device):
             np.testing.assert_array_equal(other.recording[name].values, data[name].values)
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_body_set_results_do_not_depend_on_shards(folder, device):
     experiment = wc.Experiment.from_dict(STUDY, folder)
     whole = experiment.run(folder / "whole", device=device).recording

@@ -15,7 +15,7 @@ from test_experiment import content
 import warpcontact as wc
 from warpcontact.cli import main
 
-pytestmark = pytest.mark.installed
+pytestmark = [pytest.mark.installed, pytest.mark.usefixtures("no_pictures")]
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 LAWS = (Path(__file__).parents[1] / "custom_laws_file.py").read_text(encoding="utf-8")

@@ -10,6 +10,8 @@ from test_experiment_errors import problems_of
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.usefixtures("no_pictures")
+
 # Two squares of 2 m, in mm. The left half of the second is active by its group. One face is duplicated.
 FLAT = "v -1000 -1000 0\nv 1000 -1000 0\nv 1000 1000 0\nv -1000 1000 0\nf 1 2 3\nf 1 3 4\n"
 HALVES = (

@@ -19,7 +19,7 @@ from warpcontact.experiment import cluster
 from warpcontact.system import resources
 from warpcontact.system.process import terminate_as_interrupt
 
-pytestmark = pytest.mark.installed
+pytestmark = [pytest.mark.installed, pytest.mark.usefixtures("no_pictures")]
 
 WORDS = ("--shard", 4, "--device", "cpu")
 
@@ -94,6 +94,7 @@ def test_killed_commit_is_repaired_on_resume(where, study_folder, undisturbed, t
     check_equal(out, undisturbed)
 
 
+@pytest.mark.slow
 def test_partially_rewritten_chunk_is_not_taken_as_committed(study_folder, undisturbed, tmp_path):
     out = tmp_path / "out"
     kill = sharded_runs.kill_at_commit(25)
@@ -173,6 +174,7 @@ def test_stop_signal_prints_resume_command(number, study_folder, undisturbed, tm
     check_equal(out, undisturbed)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 def test_stop_signal_prints_resume_command_without_named_folder(study_folder, tmp_path):
     study, out = study_folder / "study.toml", tmp_path / "results" / "study"
@@ -191,7 +193,12 @@ def test_stop_signal_prints_resume_command_without_named_folder(study_folder, tm
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 @pytest.mark.parametrize(
-    ("number", "stage"), [(signal.SIGTERM, "reading"), (signal.SIGTERM, "building"), (signal.SIGINT, "building")]
+    ("number", "stage"),
+    [
+        (signal.SIGTERM, "reading"),
+        (signal.SIGINT, "building"),
+        pytest.param(signal.SIGTERM, "building", marks=pytest.mark.slow),
+    ],
 )
 def test_stop_signal_before_the_first_step_reports_nothing_stored(number, stage, study_folder, tmp_path):
     out = tmp_path / "out"
@@ -320,7 +327,7 @@ def test_full_disk_at_the_start_leaves_no_results(study_folder, tmp_path):
 # Options that must not change the results
 
 
-@pytest.mark.parametrize("shard", [1, 7, 64])
+@pytest.mark.parametrize("shard", slow_except([1, 7, 64], lambda shard: shard == 7))
 def test_results_do_not_depend_on_shards_and_threads(shard, study_folder, undisturbed, tmp_path):
     experiment = wc.Experiment.from_toml(study_folder / "study.toml")
     for threads in (1, 2):

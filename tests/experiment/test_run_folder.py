@@ -13,6 +13,8 @@ import sharded_runs
 import warpcontact as wc
 from warpcontact.cli import main
 
+pytestmark = pytest.mark.usefixtures("no_pictures")
+
 SHA = "0" * 64
 
 

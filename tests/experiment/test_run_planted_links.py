@@ -156,17 +156,14 @@ CASES = [(name, kind) for name in (*FOLDERS, *FILES) for kind in ("link", "pipe"
 CASES += [(name, "dangling link") for name in FILES]
 # Cases of every test run; the others are slow.
 FIRST = {
-    *(("progress", kind) for kind in ("link", "pipe")),
-    *(
-        (name, "link")
-        for name in ("staging", "checkpoint", "data.zarr/series", "report.html.partial", "picture.png")
-    ),
-    *((name, "pipe") for name in ("run.json", "commit/store.json", "experiment.toml")),
-    ("run.json.partial", "dangling link"),
+    ("checkpoint", "link"),
+    ("data.zarr/series", "link"),
+    ("run.json", "pipe"),
     ("report.html", "dangling link"),
 }
 
 
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize(
     ("name", "kind"),
     [pytest.param(*case, marks=() if case in FIRST else pytest.mark.slow) for case in CASES],
