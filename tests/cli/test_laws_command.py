@@ -159,10 +159,10 @@ def test_invalid_laws_command_prints_one_message_and_draws_nothing(words, messag
     ("words", "expected_text"),
     [
         (["Hertz", "--mass", "2", "--speed", "3", "--depth", "0.002"], "sphere of 2 kg on a plate at 3 m/s"),
-        (["--compare", "../my_laws.py:Cubic", "Hertz"], "Cubic: stiffness 2e+12 N/m³"),
         *(
             pytest.param(*case, marks=pytest.mark.slow)
             for case in (
+                (["--compare", "../my_laws.py:Cubic", "Hertz"], "Cubic: stiffness 2e+12 N/m³"),
                 (["Tanh", "--load", "25"], "pressed on a plate with 25 N"),
                 (["--compare", "Hertz", "Flores", "--restitution", "0.5"], "force over time, e = 0.5"),
                 (["--compare", "Tanh", "Hollars"], "friction force F/N against +x [-]"),

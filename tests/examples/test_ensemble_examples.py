@@ -11,7 +11,7 @@ import warpcontact as wc
 @pytest.mark.parametrize(
     ("name", "options", "written"),
     [
-        pytest.param("restitution_map", ["--side", "2"], "restitution_map.png"),
+        pytest.param("restitution_map", ["--side", "2"], "restitution_map.png", marks=pytest.mark.slow),
         ("lander", ["--envs", "8"], "peak_load.png"),
         ("stopping_distance", ["--envs", "32"], "picture.png"),
     ],

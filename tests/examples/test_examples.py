@@ -80,6 +80,7 @@ def test_cube_tosses_example_reports_invalid_file(tmp_path, capsys):
         assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_surface_on_surface_example_converges_to_closed_forms(device, capsys):
     errors = load("surface_on_surface").main(["--device", device])
     assert "2513.3" in capsys.readouterr().out

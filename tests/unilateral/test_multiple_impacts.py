@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from case_marks import slow_except
 from nonsmooth_scenes import G, rigid
 from scenes import square
 
@@ -103,7 +104,8 @@ def test_both_integrators_equal_the_closed_form_of_touching_balls(five, rule):
     expected = np.array([closed(m, e, first) for m, e in zip(MASSES, RESTITUTION, strict=True)])
     stepped = by_steps(five, 5, rule)
     np.testing.assert_allclose(stepped[..., 0], expected, atol=1e-6)
-    for env in range(len(MASSES)):
+    # Equal masses without loss, and unequal masses with loss; the event-driven reference takes seconds for each.
+    for env in (0, 3):
         np.testing.assert_allclose(by_events(five, 5, rule, env=env)[:, 0], expected[env], atol=1e-8)
     np.testing.assert_allclose((MASSES * stepped[..., 0]).sum(axis=1), MASSES[:, 0], rtol=1e-12)
     energy = (MASSES * stepped[..., 0] ** 2).sum(axis=1)
@@ -165,9 +167,13 @@ def test_body_landing_on_several_points_bounces_without_rotation(rule, device):
     np.testing.assert_allclose(model.sensor("ball_0.angular_velocity")[0], 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("gap", [0.0, 1e-16, 5e-10])
-@pytest.mark.parametrize("rule", RULES)
-def test_body_on_a_mesh_at_gap_zero_is_closed(gap, rule, device):
+@pytest.mark.parametrize(
+    ("rule", "gap"),
+    slow_except(
+        product(RULES, (0.0, 1e-16, 5e-10)), lambda case: case in (("simultaneous", 0.0), ("sequential", 5e-10))
+    ),
+)
+def test_body_on_a_mesh_at_gap_zero_is_closed(rule, gap, device):
     """A ball that just touches a floor is hit from above, e = 0.5: the result depends on the floor."""
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     ground = scene.add_surface(square(2.0), name="ground")

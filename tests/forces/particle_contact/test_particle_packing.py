@@ -66,6 +66,7 @@ def test_hopper_flow_rate_matches_beverloo(device, capsys):
     assert 0.5 < np.mean(found) < 0.7
 
 
+@pytest.mark.slow
 def test_hopper_example_ends_without_failed_environments(capsys):
     options = ["--spheres", "1014", "--orifice", "4.5", "--part", "0.02", "--device", "cpu"]
     assert load("examples", "hopper").main(options)["health"].good
