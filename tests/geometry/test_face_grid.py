@@ -30,7 +30,7 @@ def with_slivers(sheet):
 # Mesh, radius of the contact, and whether the mesh is closed.
 CASES = {
     "terrain": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.1, False),
-    "terrain, by points": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.0, False),
+    "terrain, by points": (wc.meshes.sinusoidal_terrain((4, 4), (20, 20), 0.2, 2.5), 0.0, False),
     "sheet with boundary": (wc.meshes.grid((1.0, 0.6), (10, 7)), 0.02, False),
     "ball": (wc.meshes.icosphere(0.4, 3), 0.05, True),
     "sheet with slivers": (with_slivers(wc.meshes.grid((1.0, 0.6), (10, 7))), 0.02, False),
@@ -285,7 +285,7 @@ def test_face_grid_is_not_built_for_swept_contacts_and_stacked_sheets():
     assert grids_of(scene_of(above, radius)) is None
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 def test_memory_estimate_includes_face_grid(precision, device):
     mesh, radius, _ = CASES["ball"]
     model = scene_of(mesh, radius).build(device=device, precision=precision)
@@ -368,7 +368,7 @@ def block_with_a_gap(gap, cells=10, half=0.25, height=0.0137):
     return wc.Mesh(np.concatenate([block.vertices, *sheets]), np.concatenate([block.faces, hollow]))
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 def test_face_grid_clearance_is_zero_around_a_narrow_gap_inside_a_body(precision, device):
     """Both faces of the gap are equally near to rounding; one has the gap on its side, the other the body."""
     near = block_with_a_gap(2e-6)
@@ -398,7 +398,7 @@ def surface_centre(surface, middle):
 
 
 def test_face_grid_cells_without_list_capacity_have_no_list(device, monkeypatch):
-    mesh, radius, _ = CASES["ball"]
+    mesh, radius, _ = CASES["box"]
     usual = scene_of(mesh, radius).build(device=device).parts[0].arrays.model.cells.numpy()
     forced = cells.make_grid
 

@@ -1,6 +1,7 @@
 """Results are equal with and without caches, with graphs or launches, and in slices stepped by many threads."""
 
 import functools
+import itertools
 import signal
 import threading
 import time
@@ -9,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import warp as wp
+from case_marks import slow_except
 from gpu_schedule_on_cpu import build_all_face_grids, use_work_queues
 
 import warpcontact as wc
@@ -26,6 +28,8 @@ STUCK = wc.ContactMaterial(
     friction=wc.friction.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
 )
 ENVS = 24
+# Scenes of every test run: many points, sizes of the search, latched and swept points, active faces, and two bodies.
+FIRST = ("box of points on terrain", "latched with small search radius", "swept", "partly active", "two bodies")
 
 
 def cloud(count, size, seed=3):
@@ -157,10 +161,15 @@ def assert_same(left, right):
             np.testing.assert_array_equal(value, other, err_msg=f"after part {now}")
 
 
-@PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("few", [True, False], ids=["small", "large"])
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    ("name", "precision"),
+    # float64 has the same branches.
+    slow_except(
+        itertools.product(SCENES, ("float32", "float64")), lambda case: case[1] == "float32" or case[0] == "swept"
+    ),
+)
 def test_distance_cache_does_not_change_results(name, few, precision, device, monkeypatch):
     if not few:
         if device == "cpu":
@@ -273,7 +282,7 @@ def test_distance_cache_does_not_change_a_contact_enabled_in_overlap(points, spe
             np.testing.assert_array_equal(a, b)
 
 
-@PRECISIONS
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_distance_cache_does_not_change_results_after_state_or_parameter_changes(precision, device):
     """Between steps the user sets the state, moves the surface, changes sizes or resets some environments."""
@@ -364,7 +373,10 @@ def test_threads_and_slices_do_not_change_results(name, threads, size, device, m
     ],
 )
 # Face grids of small faces next to large spheres take a CPU long to fill.
-@pytest.mark.parametrize("name", [name for name in SCENES if not name.endswith("edge lengths")])
+@pytest.mark.parametrize(
+    "name",
+    slow_except([name for name in SCENES if not name.endswith("edge lengths")], lambda name: name in FIRST),
+)
 def test_work_queues_do_not_change_results(name, few, use_face_grids, precision, monkeypatch):
     """Contact detection as on a GPU, here in one thread."""
     usual = cpu_run(name, precision)
@@ -394,7 +406,7 @@ def test_deterministic_run_is_repeated_bitwise(name, device):
     assert_same(first, second)
 
 
-@pytest.mark.parametrize("crossing_substeps", [1, 4])
+@pytest.mark.parametrize("crossing_substeps", [pytest.param(1, marks=pytest.mark.slow), 4])
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_interrupt_leaves_all_environments_at_one_time(crossing_substeps, device):
     """On Ctrl-C at any time, all environments have taken the same number of whole steps, and the clock matches."""
@@ -406,7 +418,7 @@ def test_interrupt_leaves_all_environments_at_one_time(crossing_substeps, device
 
     sim = prepared()
     sim.step()
-    timer = threading.Timer(1.0, signal.raise_signal, (signal.SIGINT,))
+    timer = threading.Timer(0.3, signal.raise_signal, (signal.SIGINT,))
     timer.start()
     with pytest.raises(KeyboardInterrupt):
         sim.step(10**7)
