@@ -100,6 +100,7 @@ def test_law_with_fixed_restitution_is_plotted_and_labeled(device):
         np.testing.assert_allclose(panels(alone)[title].lines[0].get_ydata(), 0.5, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_fitted_damping_is_labeled(device):
     figure = compare.plot_laws([L.Impact, L.KuwabaraKono, L.Flores], restitution=[0.5, 1.0], device=device)
     impact, kono, flores = footnotes(figure)[1:]
@@ -125,6 +126,7 @@ def test_plot_labels_include_class_and_source_of_depth(device):
     assert skate.get_suptitle().startswith("skate\xa0(Elliptic):")
 
 
+@pytest.mark.slow
 def test_plot_uses_one_unit_per_quantity(device):
     # At e = 0.1 the force exceeds 500 N; at 0.6 it does not.
     figure = compare.plot_laws([L.Impact, L.KelvinVoigt], restitution=[0.1, 0.6, 1.0], mass=0.3, device=device)

@@ -5,6 +5,8 @@ import pytest
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.usefixtures("no_pictures")
+
 STUDY = {
     "envs": 2,
     "duration": 0.3,
