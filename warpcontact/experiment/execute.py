@@ -431,7 +431,6 @@ def _write_views(run: Run, job: RunJob) -> None:
     import zarr
 
     from warpcontact.experiment.picture import write_outcome_picture, write_picture
-    from warpcontact.usd import export_usd
 
     settings, files = job.settings, RunPath(run.folder)
     if not settings.record.series:
@@ -442,6 +441,8 @@ def _write_views(run: Run, job: RunJob) -> None:
     # Zarr reads 64 chunks at a time by default; chunks of all environments would then be in memory together.
     with zarr.config.set({"async.concurrency": DRAWN_AT_ONCE}):
         if usd_envs:
+            from warpcontact.usd import export_usd
+
             # Only the first environments: an export of all could take longer than the run.
             animation = (files / files_of.ANIMATION).path
             export_usd(recording, animation, envs=range(usd_envs), ensemble=False, progress=False)
