@@ -13,7 +13,7 @@ share of each solid as the reference, which is larger for the solid whose surfac
 """
 
 import warp as wp
-from warpcontact.kernels.body_contact.polygons import MAX_CORNERS, Polygon, corner, polygon_area
+from warpcontact.kernels.body_contact.polygons import MAX_CORNERS, Polygon, centroid, corner, polygon_area
 from warpcontact.kernels.body_contact.solids import (
     CONVEX,
     HALF_SPACE,
@@ -35,6 +35,9 @@ FULL_WEIGHT = wp.constant(real(2.0))
 NO_WEIGHT = wp.constant(real(4.0))
 # Cosine of two normals below which a face is parallel to the columns.
 PARALLEL = wp.constant(real(1.0e-12))
+# Height over which a face that columns enter counts partly, relative to the size of the solid. The side walls of two solids
+# may be in one plane; then half of each counts, as on average to both sides of that pose.
+RAMP = wp.constant(real(1.0e-9))
 # Offset of a search from the point where it starts, relative to the size of the solid.
 OFFSET = wp.constant(real(1.0e-12))
 INFINITE = wp.constant(real(wp.inf))
@@ -49,6 +52,8 @@ class Side:
 
     first_face: wp.int32
     end_face: wp.int32
+    first_plane: wp.int32
+    end_plane: wp.int32
     flags: wp.int32  # of its geometry
     scale: vec3d  # [m per unit]
     center: vec3d  # of its bounding box [m]
@@ -94,6 +99,8 @@ def side_of(geometries: Geometries, pose: SolidPose):
     side = Side()
     side.first_face = geometries.face_start[pose.geometry]
     side.end_face = geometries.face_start[pose.geometry + 1]
+    side.first_plane = geometries.plane_start[pose.geometry]
+    side.end_plane = geometries.plane_start[pose.geometry + 1]
     side.flags = geometries.flags[pose.geometry]
     side.scale = pose.scale
     side.center = scaled(geometries.center[pose.geometry], pose.scale)
@@ -146,6 +153,18 @@ def position_on_face(frame: FaceFrame, u: real, v: real):
 
 
 @wp.func
+def ramp_height(other: Side):
+    """Returns the height above and below a face within which a face that columns enter counts partly [m]."""
+    return RAMP * wp.length(other.half_extents)
+
+
+@wp.func
+def entry_weight(other: Side, depth: real):
+    """Returns the weight of a face that columns enter at ``depth``."""
+    return wp.clamp(real(0.5) + depth / (real(2.0) * ramp_height(other)), real(0.0), real(1.0))
+
+
+@wp.func
 def is_apart(frame: FaceFrame, other: Side):
     """Returns whether no point of a face is inside the bounding box of the other solid, whose plane it may not cut.
 
@@ -160,7 +179,7 @@ def is_apart(frame: FaceFrame, other: Side):
         return True
     if frame.count == 0:
         return False
-    if center[2] - reach[2] >= real(0.0):
+    if center[2] - reach[2] >= ramp_height(other):
         return True
     apart_u = center[0] + reach[0] <= frame.lower[0] or center[0] - reach[0] >= frame.upper[0]
     apart_v = center[1] + reach[1] <= frame.lower[1] or center[1] - reach[1] >= frame.upper[1]
@@ -185,11 +204,11 @@ def column_polygon(
         frame: The face on which the columns stand.
         other: The other solid.
         face: The face of the other solid.
-        shallowest: Smallest depth, 0 or more [m].
+        shallowest: Smallest depth [m].
         deepest: Largest depth [m].
 
     Returns:
-        The ``Polygon``. Its corners run clockwise at an exit, and counter-clockwise at an entry.
+        The ``Polygon``.
     """
     result = Polygon()
     # The third row of the projection is the inward normal.
@@ -263,9 +282,139 @@ def column_polygon(
         if count < 3:
             return result
     result.count = count
+    result.weight = real(1.0)
     for i in range(count):
         for k in range(3):
             result.corners[i, k] = rows[source + i, k]
+    if frame.count > 0 and not is_exit(geometries, frame, face):
+        result.weight = entry_weight(other, centroid(result)[2])
+    return result
+
+
+@wp.func
+def convex_polygon(
+    geometries: Geometries, frame: FaceFrame, other: Side, exit_plane: int, shallowest: real, deepest: real
+):
+    """Returns the base of the columns on a face that are inside a convex solid.
+
+    Args:
+        geometries: The geometries.
+        frame: The face on which the columns stand.
+        other: The convex solid.
+        exit_plane: The plane at which the columns leave the solid. −1: any; then the depths at the corners are 0.
+        shallowest: Smallest depth, with an exit plane [m].
+        deepest: Largest depth, with an exit plane [m].
+    """
+    result = Polygon()
+    planes = other.end_plane - other.first_plane
+    # Depth of the columns: exit_height / exit_cosine, where the height is linear in u and v.
+    exit_normal = vec3d()
+    exit_height = real(0.0)
+    cuts = planes
+    if exit_plane >= 0:
+        exit_face = geometries.plane_face[exit_plane]
+        exit_normal = frame.projection * geometries.normal[exit_face]
+        if exit_normal[2] < PARALLEL:
+            return result
+        exit_height = plane_offset(geometries, other, exit_face) + wp.dot(exit_normal, frame.shift)
+        cuts = 2 + 2 * planes
+    # Two buffers of corners: each cut reads one and writes the other.
+    rows = corner_buffers()
+    count = frame.count
+    for i in range(count):
+        rows[i, 0] = frame.corners[i, 0]
+        rows[i, 1] = frame.corners[i, 1]
+    source = wp.int32(0)
+    for number in range(cuts):
+        # Points with factor_u u + factor_v v + offset ≥ 0 remain.
+        cut = number
+        if exit_plane >= 0:
+            cut = number - 2
+        factor_u = real(0.0)
+        factor_v = real(0.0)
+        offset = real(0.0)
+        if cut == -2:
+            # Depth at most ``deepest``.
+            if deepest == INFINITE:
+                continue
+            factor_u = exit_normal[0]
+            factor_v = exit_normal[1]
+            offset = deepest * exit_normal[2] - exit_height
+        elif cut == -1:
+            # Depth at least ``shallowest``.
+            factor_u = -exit_normal[0]
+            factor_v = -exit_normal[1]
+            offset = exit_height - shallowest * exit_normal[2]
+        else:
+            plane = cut
+            if cut >= planes:
+                plane = cut - planes
+            plane += other.first_plane
+            face = geometries.plane_face[plane]
+            normal = frame.projection * geometries.normal[face]
+            height = plane_offset(geometries, other, face) + wp.dot(normal, frame.shift)
+            if cut < planes:
+                # Inside the plane; columns start inside planes that they would enter, at least within the ramp.
+                factor_u = -normal[0]
+                factor_v = -normal[1]
+                offset = height
+                if normal[2] < real(0.0):
+                    offset += ramp_height(other)
+            else:
+                # The column leaves at the exit plane, not at this one.
+                if plane == exit_plane or normal[2] < PARALLEL:
+                    continue
+                factor_u = normal[2] * exit_normal[0] - exit_normal[2] * normal[0]
+                factor_v = normal[2] * exit_normal[1] - exit_normal[2] * normal[1]
+                offset = exit_normal[2] * height - normal[2] * exit_height
+        least = INFINITE
+        for i in range(count):
+            value = factor_u * rows[source + i, 0] + factor_v * rows[source + i, 1] + offset
+            least = wp.min(least, value)
+        if least >= real(0.0):
+            continue
+        target = MAX_CORNERS - source
+        kept = wp.int32(0)
+        previous_u = rows[source + count - 1, 0]
+        previous_v = rows[source + count - 1, 1]
+        previous_value = factor_u * previous_u + factor_v * previous_v + offset
+        for i in range(count):
+            current_u = rows[source + i, 0]
+            current_v = rows[source + i, 1]
+            value = factor_u * current_u + factor_v * current_v + offset
+            if (value >= real(0.0)) != (previous_value >= real(0.0)) and kept < MAX_CORNERS:
+                fraction = previous_value / (previous_value - value)
+                rows[target + kept, 0] = previous_u + fraction * (current_u - previous_u)
+                rows[target + kept, 1] = previous_v + fraction * (current_v - previous_v)
+                kept += 1
+            if value >= real(0.0) and kept < MAX_CORNERS:
+                rows[target + kept, 0] = current_u
+                rows[target + kept, 1] = current_v
+                kept += 1
+            previous_u = current_u
+            previous_v = current_v
+            previous_value = value
+        source = target
+        count = kept
+        if count < 3:
+            return result
+    result.count = count
+    for i in range(count):
+        u = rows[source + i, 0]
+        v = rows[source + i, 1]
+        result.corners[i, 0] = u
+        result.corners[i, 1] = v
+        if exit_plane >= 0:
+            result.corners[i, 2] = (exit_height - exit_normal[0] * u - exit_normal[1] * v) / exit_normal[2]
+    result.weight = real(1.0)
+    middle = centroid(result)
+    for plane in range(other.first_plane, other.end_plane):
+        face = geometries.plane_face[plane]
+        normal = frame.projection * geometries.normal[face]
+        if normal[2] < real(0.0):
+            height = plane_offset(geometries, other, face) + wp.dot(normal, frame.shift)
+            height -= normal[0] * middle[0] + normal[1] * middle[1]
+            result.weight = result.weight * entry_weight(other, height)
     return result
 
 
@@ -377,7 +526,8 @@ def depth_bound(geometries: Geometries, frame: FaceFrame, other: Side, pose: Rel
     origin = to_other * (frame.origin - pose.origin)
     u_axis = to_other * frame.u_axis
     v_axis = to_other * frame.v_axis
-    for face in range(other.first_face, other.end_face):
+    for plane in range(other.first_plane, other.end_plane):
+        face = geometries.plane_face[plane]
         normal = geometries.normal[face]
         height = plane_offset(geometries, other, face) - wp.dot(normal, origin)
         along_u = wp.dot(normal, u_axis)
@@ -398,7 +548,8 @@ def deepest_of(
     It is evaluated at corners, midpoints of edges and the center. A column is at least as long as its base is deep.
     """
     count = polygon.count
-    if (other.flags & CONVEX) != 0:
+    is_convex = (other.flags & CONVEX) != 0 and frame.count > 0
+    if is_convex:
         if depth_bound(geometries, frame, other, pose, polygon) <= deepest:
             return deepest
     center = vec3d()
@@ -411,10 +562,12 @@ def deepest_of(
             point = real(0.5) * (point + corner(polygon, (i // 2 + 1) % count))
         else:
             center += point
-        if point[2] > deepest:
+        if is_convex or point[2] > deepest:
             position = position_on_face(frame, point[0], point[1]) - pose.origin
             depth = depth_below_surface(geometries, other, wp.transpose(pose.rotation) * position, direction)
-            deepest = wp.max(deepest, wp.min(depth, point[2]))
+            if not is_convex:
+                depth = wp.min(depth, point[2])
+            deepest = wp.max(deepest, depth)
     return deepest
 
 
@@ -443,14 +596,25 @@ def overlap_of(geometries: Geometries, first: Side, second: Side, first_in_secon
             if is_apart(frame, other):
                 continue
             area = real(0.0)
-            for other_face in range(other.first_face, other.end_face):
-                polygon = column_polygon(geometries, frame, other, other_face, real(0.0), INFINITE)
-                if polygon.count == 0:
-                    continue
-                signed = polygon_area(polygon)
-                area -= signed
-                if signed < real(0.0):
+            if frame.count > 0 and (other.flags & CONVEX) != 0:
+                polygon = convex_polygon(geometries, frame, other, -1, real(0.0), INFINITE)
+                if polygon.count > 0:
+                    area = polygon.weight * polygon_area(polygon)
                     result.depth = deepest_of(geometries, frame, other, pose, polygon, result.depth)
+            else:
+                for other_face in range(other.first_face, other.end_face):
+                    leaves = is_exit(geometries, frame, other_face)
+                    shallowest = real(0.0)
+                    if not leaves:
+                        shallowest = -ramp_height(other)
+                    polygon = column_polygon(geometries, frame, other, other_face, shallowest, INFINITE)
+                    if polygon.count == 0:
+                        continue
+                    if leaves:
+                        area += polygon_area(polygon)
+                        result.depth = deepest_of(geometries, frame, other, pose, polygon, result.depth)
+                    else:
+                        area -= polygon.weight * polygon_area(polygon)
             total += area
             total_vector += area * frame.normal
         deviation[family] = total - wp.length(total_vector)

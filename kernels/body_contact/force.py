@@ -12,12 +12,14 @@ from warpcontact.kernels.body_contact.columns import (
     Overlap,
     column_polygon,
     column_weight,
+    convex_polygon,
     face_frame,
     first_crossing,
     is_apart,
     is_exit,
     overlap_of,
     position_on_face,
+    ramp_height,
     side_of,
 )
 from warpcontact.kernels.body_contact.patches import (
@@ -31,9 +33,16 @@ from warpcontact.kernels.body_contact.patches import (
     with_patch,
 )
 from warpcontact.kernels.body_contact.patches import functions as patch_functions
-from warpcontact.kernels.body_contact.polygons import RULE_SIZE, corner, quadrature_point, signed_area
+from warpcontact.kernels.body_contact.polygons import (
+    RULE_SIZE,
+    Polygon,
+    centroid,
+    corner,
+    quadrature_point,
+    signed_area,
+)
 from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
-from warpcontact.kernels.body_contact.solids import HALF_SPACE, OPEN, Geometries, Solids, inverse_pose
+from warpcontact.kernels.body_contact.solids import CONVEX, HALF_SPACE, OPEN, Geometries, Solids, inverse_pose
 from warpcontact.kernels.contact.contact_evaluation import (
     ContactModel,
     functions,
@@ -197,26 +206,42 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                     if wp.static(has_patches):
                         normal_2 = wp.transpose(pose.rotation) * normal_W
                         patch = patch_of(normals, normal_2)
-                    for other_face in range(other.first_face, other.end_face):
-                        is_entry = not is_exit(geometries, face_plane, other_face)
+                    by_planes = (other.flags & CONVEX) != 0 and not half_space
+                    first_part = other.first_face
+                    end_part = other.end_face
+                    if by_planes:
+                        first_part = other.first_plane
+                        end_part = other.end_plane
+                    for number in range(first_part, end_part):
+                        is_entry = wp.bool(False)
+                        if not by_planes:
+                            is_entry = not is_exit(geometries, face_plane, number)
                         # The weight is a polynomial below and above FULL_WEIGHT × D.
                         for part in range(part_count):
                             shallowest = double(0.0)
+                            if is_entry and not half_space:
+                                shallowest = -ramp_height(other)
                             deepest = FULL_WEIGHT * overlap.depth
                             if half_space:
                                 deepest = INFINITE
                             elif part == 1:
                                 shallowest = deepest
                                 deepest = NO_WEIGHT * overlap.depth
-                            piece = column_polygon(geometries, face_plane, other, other_face, shallowest, deepest)
-                            for number in range(RULE_SIZE * wp.max(piece.count - 2, 0)):
-                                triangle = number // RULE_SIZE
-                                corner_0 = corner(piece, 0)
-                                corner_1 = corner(piece, triangle + 1)
-                                corner_2 = corner(piece, triangle + 2)
-                                point = quadrature_point(corner_0, corner_1, corner_2, number % RULE_SIZE)
-                                # Exits have a negative area, and add columns.
-                                area = -point.weight * signed_area(corner_0, corner_1, corner_2)
+                            piece = Polygon()
+                            if by_planes:
+                                piece = convex_polygon(geometries, face_plane, other, number, shallowest, deepest)
+                            else:
+                                piece = column_polygon(geometries, face_plane, other, number, shallowest, deepest)
+                            if piece.count == 0:
+                                continue
+                            # Triangles around the center of area, so that the result does not depend on the first corner.
+                            center = centroid(piece)
+                            sign = wp.where(is_entry, -share, share) * piece.weight
+                            for sample in range(RULE_SIZE * piece.count):
+                                corner_1 = corner(piece, sample // RULE_SIZE)
+                                corner_2 = corner(piece, (sample // RULE_SIZE + 1) % piece.count)
+                                point = quadrature_point(center, corner_1, corner_2, sample % RULE_SIZE)
+                                area = sign * point.weight * wp.abs(signed_area(center, corner_1, corner_2))
                                 base = position_on_face(face_plane, point.u, point.v)
                                 depth = point.depth
                                 if is_entry and not half_space:
@@ -226,7 +251,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                     start = to_other * (base - depth * face_plane.normal - own_pose.origin)
                                     start += OFFSET * wp.length(other.half_extents) * direction
                                     depth += first_crossing(geometries, other, start, direction, True).distance
-                                weight = share * area * column_weight(depth, overlap, half_space)
+                                weight = area * column_weight(depth, overlap, half_space)
                                 if weight == double(0.0):
                                     continue
                                 acting = base - kappa * depth * face_plane.normal

@@ -7,8 +7,8 @@ import warp as wp
 
 real = wp.float64
 
-#: Largest number of corners: two quadrilaterals have up to 8, and each of the two cuts at a depth adds one.
-MAX_CORNERS = 11
+#: Largest number of corners. Each cut adds one at most; a quadrilateral face is cut by few planes of the other solid.
+MAX_CORNERS = 16
 #: Points of the quadrature rule on a triangle.
 RULE_SIZE = 7
 
@@ -29,7 +29,8 @@ THIRD = wp.constant(real(1.0 / 3.0))
 class Polygon:
     """A convex polygon."""
 
-    count: wp.int32  # number of corners; less than 3: empty
+    count: wp.int32  # number of corners; 0: empty
+    weight: real  # of its area, 0 to 1 [-]
     corners: corner_matrix  # rows (u, v, t) [m]
 
 
@@ -59,11 +60,28 @@ def signed_area(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d):
 
 @wp.func
 def polygon_area(polygon: Polygon):
-    """Returns the signed area of the polygon in the plane of u and v [m²]."""
+    """Returns the area of the polygon in the plane of u and v [m²]."""
     area = real(0.0)
     for i in range(1, polygon.count - 1):
         area += signed_area(corner(polygon, 0), corner(polygon, i), corner(polygon, i + 1))
-    return area
+    return wp.abs(area)
+
+
+@wp.func
+def centroid(polygon: Polygon):
+    """Returns the center of area (u, v, t) of the polygon; of a polygon without area, its first corner."""
+    area = real(0.0)
+    moment = wp.vec3d()
+    first = corner(polygon, 0)
+    for i in range(1, polygon.count - 1):
+        second = corner(polygon, i)
+        third = corner(polygon, i + 1)
+        part = signed_area(first, second, third)
+        area += part
+        moment += part * (first + second + third)
+    if area == real(0.0):
+        return first
+    return moment / (real(3.0) * area)
 
 
 @wp.func

@@ -29,6 +29,8 @@ class Geometries:
     u_axis: wp.array(dtype=wp.vec3d)  # [face] unit, along its first edge
     offset: wp.array(dtype=wp.float64)  # [face] of its plane along the normal [unit of the geometry]
     face_start: wp.array(dtype=wp.int32)  # [geometry + 1]
+    plane_face: wp.array(dtype=wp.int32)  # [plane] the first face in each plane of faces
+    plane_start: wp.array(dtype=wp.int32)  # [geometry + 1]
     flags: wp.array(dtype=wp.int32)  # [geometry] CONVEX, HALF_SPACE, OPEN
     center: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]
     half_extents: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]

@@ -22,12 +22,14 @@ class Polyhedron:
     Attributes:
         vertices: Vertices, (V, 3), in the unit of the mesh.
         faces: Vertices of each face, counter-clockwise as seen from outside, (F, 4); the last of a triangle is −1.
+        plane_faces: The first face of each group of connected faces in one plane, (P,).
         is_closed: Whether it has no boundary.
         is_convex: Whether it is closed and convex.
     """
 
     vertices: Array
     faces: NDArray[np.int32]
+    plane_faces: NDArray[np.int32]
     is_closed: bool
     is_convex: bool
 
@@ -41,21 +43,24 @@ class Polyhedron:
         offsets = np.einsum("ij,ij->i", normals, vertices[triangles[:, 0]])
         size = float(np.ptp(vertices, axis=0).max())
         polygons: list[Sequence[int]] = []
+        plane_faces = []
         for group in _coplanar_groups(vertices, triangles, normals, offsets, _TOLERANCE * size):
+            plane_faces.append(len(polygons))
             outline = _convex_outline(vertices, triangles[group], normals[group[0]], _TOLERANCE * size)
             polygons += [triangles[number] for number in group] if outline is None else _quadrilaterals(outline)
         faces = np.full((len(polygons), 4), -1, dtype=np.int32)
         for row, polygon in zip(faces, polygons, strict=True):
             row[: len(polygon)] = polygon
         is_convex = is_closed and _is_convex(vertices, triangles, normals, offsets, _TOLERANCE * size)
-        return cls(vertices, faces, is_closed, is_convex)
+        return cls(vertices, faces, np.array(plane_faces, dtype=np.int32), is_closed, is_convex)
 
     @classmethod
     def unit_box(cls) -> "Polyhedron":
         """Returns the cube |x|, |y|, |z| ≤ 1."""
         vertices = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
         faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-        return cls(vertices, np.array(faces, dtype=np.int32), is_closed=True, is_convex=True)
+        planes = np.arange(6, dtype=np.int32)
+        return cls(vertices, np.array(faces, dtype=np.int32), planes, is_closed=True, is_convex=True)
 
     @property
     def bounds(self) -> tuple[Array, Array]:

@@ -92,8 +92,10 @@ class SolidTables:
         return self._known[key]
 
     def _declare_geometries(self, layout: "AllocationPlan") -> None:
-        tables: dict[str, Any] = {"vertex": [np.zeros((1, 3))], "face_start": [0], "flags": []}
-        tables |= {name: [] for name in ("face", "normal", "u_axis", "offset", "center", "half_extents")}
+        tables: dict[str, Any] = {"vertex": [np.zeros((1, 3))], "face_start": [0], "plane_start": [0], "flags": []}
+        tables |= {
+            name: [] for name in ("face", "normal", "u_axis", "offset", "plane_face", "center", "half_extents")
+        }
         vertex_count = 1
         for polyhedron in self._polyhedra:
             if polyhedron is None:
@@ -101,7 +103,7 @@ class SolidTables:
                 for name, row in (("normal", [[0.0, 0.0, 1.0]]), ("u_axis", [[1.0, 0.0, 0.0]]), ("offset", [0.0])):
                     tables[name].append(np.array(row))
                 tables["flags"].append(CONVEX | HALF_SPACE)
-                lower = upper = np.zeros(3)
+                planes, lower, upper = np.zeros(1, dtype=np.int32), np.zeros(3), np.zeros(3)
             else:
                 tables["vertex"].append(polyhedron.vertices)
                 own = polyhedron.faces
@@ -110,11 +112,14 @@ class SolidTables:
                 for name, values in zip(("normal", "u_axis", "offset"), polyhedron.planes(), strict=True):
                     tables[name].append(values)
                 tables["flags"].append(CONVEX * polyhedron.is_convex | OPEN * (not polyhedron.is_closed))
+                planes = polyhedron.plane_faces
                 lower, upper = polyhedron.bounds
             tables["center"].append(0.5 * (lower + upper))
             tables["half_extents"].append(0.5 * (upper - lower))
+            tables["plane_face"].append(planes + tables["face_start"][-1])
             tables["face_start"].append(tables["face_start"][-1] + len(tables["face"][-1]))
-        for name in ("vertex", "face", "normal", "u_axis", "offset"):
+            tables["plane_start"].append(tables["plane_start"][-1] + len(planes))
+        for name in ("vertex", "face", "normal", "u_axis", "offset", "plane_face"):
             tables[name] = np.concatenate(tables[name])
         for name, variable in Geometries.vars.items():
             layout.constant(_PURPOSE, self.geometries, name, tables[name], variable.type.dtype)
