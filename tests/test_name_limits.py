@@ -69,7 +69,7 @@ def test_name_of_a_file_of_laws_has_at_most_200_bytes(tmp_path):
 
 def test_variable_with_too_long_name_is_refused_before_writing(tmp_path, monkeypatch):
     """For example a parameter of a custom law, whose name the library does not limit."""
-    monkeypatch.setattr("warpcontact.experiment.store.MOST_NAME", 8)
+    monkeypatch.setattr("warpcontact.experiment.store.MAX_NAME_BYTES", 8)
     experiment = wc.Experiment.from_dict(content(variation={"ball.mass": {"uniform": [1.0, 2.0]}}))
     with pytest.raises(
         wc.ExperimentError, match=r"run: the name of a variable of params must have at most 8 bytes"

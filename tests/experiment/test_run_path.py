@@ -52,8 +52,8 @@ BELOW = ACTIONS | {
     "status": lambda path: path.status(),
     "names": lambda path: path.names(),
     "create": lambda path: path.create(),
-    "replacing": lambda path: path.replacing().__enter__(),
-    "replaced": lambda path: path.replaced().__enter__(),
+    "replacement_file": lambda path: path.replacement_file().__enter__(),
+    "replacement_path": lambda path: path.replacement_path().__enter__(),
     "remove": lambda path: path.remove(),
     "move_to": lambda path: path.move_to(RunPath(path.root) / "moved"),
     "move_from": lambda path: (RunPath(path.root) / "inner/file").move_to(path),
@@ -106,10 +106,10 @@ def test_new_file_replaces_a_prepared_link(target, run):
     plant(run / "file", target)
     plant(run / "file.partial", target)
     before = outside(run)
-    with (run / "file").replacing() as file:
+    with (run / "file").replacement_file() as file:
         file.write(b"mine")
     assert (run / "file").read() == b"mine"
-    with (run / "named").replaced("file") as partial:
+    with (run / "named").replacement_path("file") as partial:
         partial.path.write_text("by name")
     assert (run / "named").read() == b"by name"
     plant(run / "created", target)
@@ -121,7 +121,7 @@ def test_new_file_replaces_a_prepared_link(target, run):
 
 def test_failed_block_leaves_the_old_file(run):
     path = run / "inner/file"
-    with pytest.raises(TypeError), path.replacing() as file:
+    with pytest.raises(TypeError), path.replacement_file() as file:
         file.writelines([b"part", None])
     assert path.read() == b"inner"
     assert (run / "inner").names() == ["file"]
@@ -158,13 +158,13 @@ def test_descriptors_for_synchronization_are_writable_on_windows(run, monkeypatc
         synchronize(descriptor)
 
     monkeypatch.setattr(os, "fsync", noted)
-    with (run / "file").replacing() as file:
+    with (run / "file").replacement_file() as file:
         file.write(b"mine")
         file.close()  # as a wrapper of the file does
     assert modes == [os.O_WRONLY]
     monkeypatch.setattr(run_folder, "_WINDOWS", True)
     (run / "file").sync()
-    with (run / "named").replaced() as partial:
+    with (run / "named").replacement_path() as partial:
         partial.path.write_text("by name")
     assert modes == [os.O_WRONLY, os.O_RDWR, os.O_RDWR]
     assert (run / "file").read() == b"mine"

@@ -126,7 +126,7 @@ def _make_folder(runner: ShardRunner, job: RunJob) -> None:
     text = to_toml(job.copy.settings, comment).encode()
     user_code.record_trusted(job.copy.files.values())
     for name, content in {files_of.EXPERIMENT: text, **job.copy.files}.items():
-        with (RunPath(folder) / name).replacing() as file:
+        with (RunPath(folder) / name).replacement_file() as file:
             file.write(content)
     files_of.make_subfolders(folder)
     frames = job.frames

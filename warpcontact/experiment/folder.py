@@ -148,7 +148,7 @@ def check_new(folder: Path, overwrite: bool) -> None:
 def check_replaced(folder: Path, files: Mapping[str, bytes]) -> None:
     """Raises ``ExperimentError`` if one of ``files``, by name, would replace a file of the user in ``folder``."""
     for name in files.keys() - law_files(read_summary(folder)):
-        if (RunPath(folder) / name).is_there():
+        if (RunPath(folder) / name).exists():
             raise ExperimentError(str(folder), [f"holds a file {name!r} of the user, which the run would replace"])
 
 

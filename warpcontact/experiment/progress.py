@@ -167,7 +167,7 @@ class ProgressFile:
             return False
         self._last = now
         # Errors are ignored: progress is not essential.
-        with contextlib.suppress(OSError), self._path.replacing(wait=False) as file:
+        with contextlib.suppress(OSError), self._path.replacement_file(wait=False) as file:
             content = {"steps": steps, "time": time.time(), "process": os.getpid()}
             file.write(json.dumps(content).encode())
         return True

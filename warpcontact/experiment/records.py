@@ -24,7 +24,7 @@ DATA = "data.zarr"
 COMMITS = "commit"
 STAGING = "staging"
 #: File in ``COMMITS`` that lists the files of the empty store.
-MADE = "store.json"
+STORE_RECORD = "store.json"
 
 #: Groups of the store: parameters, outcomes, sensors over time, and events.
 GROUPS = ("params", "outcome", "series", "events")
@@ -38,26 +38,26 @@ Files = dict[str, tuple[int, str]]
 _RECORD = re.compile(r"shard_(?:\d{6}|[1-9]\d{6,})\.json")
 # Names of files of the store in records: no path outside of the store matches.
 _VARIABLE = rf"(?:{'|'.join(GROUPS)})/(?!\.\.?/)[^/\\\0]+"
-_PLACE = r"(?:/[0-9]{1,10})"
-_CHUNK = re.compile(rf"{_VARIABLE}/c{_PLACE}{{1,{AXES}}}")
-_CHUNK_FOLDER = re.compile(rf"(?:{'|'.join(GROUPS)})|{_VARIABLE}(?:/c{_PLACE}{{0,{AXES - 1}}})?")
-_MADE = re.compile(rf"(?:(?:{'|'.join(GROUPS)}|{_VARIABLE})/)?zarr\.json|{_VARIABLE}/c{_PLACE}{{0,{AXES}}}")
+_INDEX = r"(?:/[0-9]{1,10})"
+_CHUNK = re.compile(rf"{_VARIABLE}/c{_INDEX}{{1,{AXES}}}")
+_CHUNK_FOLDER = re.compile(rf"(?:{'|'.join(GROUPS)})|{_VARIABLE}(?:/c{_INDEX}{{0,{AXES - 1}}})?")
+_STORE_FILE = re.compile(rf"(?:(?:{'|'.join(GROUPS)}|{_VARIABLE})/)?zarr\.json|{_VARIABLE}/c{_INDEX}{{0,{AXES}}}")
 _SHA = re.compile(r"[0-9a-f]{64}")
 # Upper bound on counts: the largest 64-bit integer.
-_MOST = 2**63 - 1
+_MAX_COUNT = 2**63 - 1
 _COUNTS = ("steps", "frames", "frozen")
 
 #: Attribute of the store: names of its groups.
-PARTS = "groups"
+GROUPS_ATTRIBUTE = "groups"
 #: Attributes of a group: its variables in order, and the arrays that label its axes.
-ORDER = "variables"
-LABELS = "labels"
+VARIABLES_ATTRIBUTE = "variables"
+LABELS_ATTRIBUTE = "labels"
 
 _META = "zarr.json"
 # Groups that are written when a shard ends.
 _WRITTEN_AT_END = ("outcome", "events")
 # Larger sizes are not supported for device arrays.
-_MOST_SIZE = 2**31 - 1
+_MAX_SIZE = 2**31 - 1
 
 
 class RunDataError(SafeTextError):
@@ -110,7 +110,7 @@ class Commit:
         is_time = isinstance(time, int | float) and not isinstance(time, bool) and 0.0 <= time < float("inf")
         rules = {
             "shard": (_is_count(content["shard"]) and content["shard"] == number, f"{number}, as in its name"),
-            **{key: (_is_count(content[key]), f"a whole number from 0 to {_MOST}") for key in _COUNTS},
+            **{key: (_is_count(content[key]), f"a whole number from 0 to {_MAX_COUNT}") for key in _COUNTS},
             "finished": (isinstance(content["finished"], bool), "true or false"),
             "checkpoint": (
                 checkpoint is None if finished else bool(can_resume),
@@ -160,8 +160,8 @@ def created_files(folder: RunPath) -> Files:
     Raises:
         RunDataError: If the record is missing or damaged.
     """
-    path = folder / MADE
-    return _files(path, _content(path, ["files"])["files"], _MADE)
+    path = folder / STORE_RECORD
+    return _files(path, _content(path, ["files"])["files"], _STORE_FILE)
 
 
 def digest(path: RunPath) -> str:
@@ -197,7 +197,7 @@ def _content(path: RunPath, entries: Iterable[str], later: Mapping[str, Any] | N
 
 
 def _is_count(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MOST
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MAX_COUNT
 
 
 def _files(path: RunPath, files: object, allowed: re.Pattern[str]) -> Files:
@@ -312,31 +312,31 @@ class ExpectedFiles:
         self._made, self._extent = made, extent
         self._variables: dict[str, dict[str, ChunkGrid]] = {}
         expected = {_META}
-        stored_groups = self._attributes("", self._read("")).get(PARTS)
+        stored_groups = self._attributes("", self._read("")).get(GROUPS_ATTRIBUTE)
         if stored_groups is not None and not (
             isinstance(stored_groups, list) and all(group in GROUPS for group in stored_groups)
         ):
-            raise RunDataError(f"{self._data / _META}: {PARTS} must be a list of {', '.join(GROUPS)}")
+            raise RunDataError(f"{self._data / _META}: {GROUPS_ATTRIBUTE} must be a list of {', '.join(GROUPS)}")
         self.complete = stored_groups is not None
         recorded = [group for group in GROUPS if f"{group}/{_META}" in made]
         for group in recorded if stored_groups is None else stored_groups:
             attributes = self._attributes(group, self._read(group))
             self._variables[group] = {
-                name: self._grid(group, name) for name in self._names(group, attributes, ORDER)
+                name: self._grid(group, name) for name in self._names(group, attributes, VARIABLES_ATTRIBUTE)
             }
             expected.add(f"{group}/{_META}")
             expected |= {f"{group}/{name}/{_META}" for name in self._variables[group]}
-            if LABELS in attributes:
-                for name in self._names(group, attributes, LABELS):
+            if LABELS_ATTRIBUTE in attributes:
+                for name in self._names(group, attributes, LABELS_ATTRIBUTE):
                     expected |= {f"{group}/{name}/{_META}", *self._label(group, name)}
         if self.complete and (more := sorted(made.keys() - expected)):
-            raise RunDataError(f"{self._record / MADE}: files must be those of the store, got {more[0]!r}")
+            raise RunDataError(f"{self._record / STORE_RECORD}: files must be those of the store, got {more[0]!r}")
 
     def _read(self, array: str) -> dict[str, Any]:
         """Returns the metadata of an array or group; ``""``: that of the store."""
         name = f"{array}/{_META}".lstrip("/")
         if name not in self._made:
-            raise RunDataError(f"{self._data}/{name}: is missing in {self._record / MADE}")
+            raise RunDataError(f"{self._data}/{name}: is missing in {self._record / STORE_RECORD}")
         path = self._data / name
         if not is_unchanged(path, *self._made[name]):
             what = "was changed since it" if path.is_file() else "is missing, and"
@@ -375,7 +375,7 @@ class ExpectedFiles:
         except (KeyError, TypeError, ValueError):
             raise RunDataError(
                 f"{path / _META}: must have a shape of at most {AXES} axes, and chunks of a regular grid, in "
-                f"whole numbers up to {_MOST_SIZE}"
+                f"whole numbers up to {_MAX_SIZE}"
             ) from None
         grid = ChunkGrid(dims, shape, chunks)
         axes = dict(zip(dims, zip(shape, chunks, strict=True), strict=True))
@@ -396,7 +396,7 @@ class ExpectedFiles:
         for chunk in grid.names():
             full = f"{group}/{name}/{chunk}"
             if full not in self._made:
-                raise RunDataError(f"{self._data}/{full}: is missing in {self._record / MADE}")
+                raise RunDataError(f"{self._data}/{full}: is missing in {self._record / STORE_RECORD}")
             found.append(full)
         return found
 
@@ -459,8 +459,8 @@ class ExpectedFiles:
 
 
 def _are_whole(sizes: Sequence[object], least: int) -> bool:
-    """Whether all sizes are integers from ``least`` to ``_MOST_SIZE``."""
-    return all(isinstance(n, int) and not isinstance(n, bool) and least <= n <= _MOST_SIZE for n in sizes)
+    """Whether all sizes are integers from ``least`` to ``_MAX_SIZE``."""
+    return all(isinstance(n, int) and not isinstance(n, bool) and least <= n <= _MAX_SIZE for n in sizes)
 
 
 def _is_among(chunk_ranges: Mapping[str, Sequence[range]], name: str) -> bool:

@@ -24,7 +24,16 @@ from warpcontact.experiment.assemble import FileCache, SceneBuilder
 from warpcontact.experiment.errors import ExperimentError, Problems, abbreviated
 from warpcontact.experiment.folder import is_locked
 from warpcontact.experiment.parser import ExperimentParts, load_toml, read_settings
-from warpcontact.experiment.records import COMMITS, DATA, GROUPS, LABELS, ORDER, Commit, RunDataError, RunExtent
+from warpcontact.experiment.records import (
+    COMMITS,
+    DATA,
+    GROUPS,
+    LABELS_ATTRIBUTE,
+    VARIABLES_ATTRIBUTE,
+    Commit,
+    RunDataError,
+    RunExtent,
+)
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import Ledger, Shards
 from warpcontact.experiment.user_code import Trust, UserFiles
@@ -248,7 +257,7 @@ class Run:
             "picture": files_of.PICTURE,
         }
         named |= {name: name for name in files_of.law_files(self.summary)}
-        return {kind: self.folder / name for kind, name in named.items() if (self._files / name).is_there()}
+        return {kind: self.folder / name for kind, name in named.items() if (self._files / name).exists()}
 
     @property
     def shards(self) -> Shards:
@@ -348,8 +357,8 @@ class Run:
         data = xr.open_zarr(
             CommittedStore(self._files, commits=self._commits), group=name, consolidated=False, chunks=None
         )
-        order = data.attrs.pop(ORDER, None)
-        data.attrs.pop(LABELS, None)
+        order = data.attrs.pop(VARIABLES_ATTRIBUTE, None)
+        data.attrs.pop(LABELS_ATTRIBUTE, None)
         if not isinstance(order, list) or set(order) != set(data.data_vars):
             raise RunDataError(f"{self.folder / DATA / name}: must have the variables {order}, has {list(data)}")
         # The order of arrays in a folder listing is arbitrary.

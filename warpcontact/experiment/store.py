@@ -29,11 +29,11 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.records import (
     COMMITS,
     DATA,
-    LABELS,
-    MADE,
-    ORDER,
-    PARTS,
+    GROUPS_ATTRIBUTE,
+    LABELS_ATTRIBUTE,
     STAGING,
+    STORE_RECORD,
+    VARIABLES_ATTRIBUTE,
     Commit,
     ExpectedFiles,
     Files,
@@ -63,7 +63,7 @@ MIN_DIVISOR_RATIO = 8
 # Approximate size of chunks before compression [bytes].
 CHUNK = 16 * 2**20
 # Longest name of a folder on usual file systems [bytes].
-MOST_NAME = 255
+MAX_NAME_BYTES = 255
 # Number of chunks that are compressed concurrently; each takes twice its size.
 WRITERS = 4
 
@@ -138,7 +138,7 @@ def _few_threads() -> Iterator[None]:
 
 
 @_few_threads()
-def _created_files(folder: RunPath) -> "CommittedStore":
+def _empty_store(folder: RunPath) -> "CommittedStore":
     """Returns the store of a run without any commits.
 
     Opens a group, so that Zarr starts its threads in the thread of the caller: its settings apply to the process.
@@ -157,7 +157,7 @@ def check_names(data_layouts: Mapping[str, "xr.Dataset"], source: str) -> None:
     for group, layout in data_layouts.items():
         for name in layout.data_vars:
             try:
-                check_length(f"the name of a variable of {group}", str(name), MOST_NAME)
+                check_length(f"the name of a variable of {group}", str(name), MAX_NAME_BYTES)
             except ValueError as error:
                 raise ExperimentError(source, [str(error)]) from None
 
@@ -187,7 +187,9 @@ def create(
 
     buffers: dict[str, Any] = {}
     made = MemoryStore(buffers)
-    zarr.open_group(made, mode="w-", zarr_format=3, attributes={**attributes, PARTS: list(data_layouts)})
+    zarr.open_group(
+        made, mode="w-", zarr_format=3, attributes={**attributes, GROUPS_ATTRIBUTE: list(data_layouts)}
+    )
     for name, layout in data_layouts.items():
         sizes = {**layout.sizes, "env": envs}
         coordinates = {key: c for key, c in layout.coords.items() if key not in ("env", "time")}
@@ -196,7 +198,10 @@ def create(
             sizes["time"] = len(times)
             coordinates["time"] = ("time", times, layout["time"].attrs)
         # Folders are unordered: store the order of the variables.
-        listed = {ORDER: list(map(str, layout.data_vars)), LABELS: sorted(map(str, coordinates))}
+        listed = {
+            VARIABLES_ATTRIBUTE: list(map(str, layout.data_vars)),
+            LABELS_ATTRIBUTE: sorted(map(str, coordinates)),
+        }
         labels = xr.Dataset(coords=coordinates, attrs={**attributes, **layout.attrs, **listed})
         # By default, Zarr does not write a chunk of zeros, such as the label of a single environment.
         with zarr.config.set({"array.write_empty_chunks": True}):
@@ -215,7 +220,7 @@ def create(
     sync_all(partial / name for name in content)
     sync_names({(partial / name).parent for name in content}, partial)
     files = {name: (len(data), hashlib.sha256(data).hexdigest()) for name, data in content.items()}
-    write_json(run / COMMITS / MADE, {"files": files})
+    write_json(run / COMMITS / STORE_RECORD, {"files": files})
     partial.move_to(run / DATA)
     run.sync()
 
@@ -243,14 +248,16 @@ def empty_value(dtype: np.dtype[Any]) -> Any:
     return {"f": np.nan, "i": -1, "b": False}.get(dtype.kind, 0)
 
 
-def largest_divisor(envs: int, most: int) -> int:
-    """Returns the largest divisor of ``envs`` up to ``most``; if that is far smaller, the next larger divisor."""
+def largest_divisor(envs: int, limit: int) -> int:
+    """Returns the largest divisor of ``envs`` up to ``limit``; if that is far smaller, the next larger divisor."""
     small = [part for part in range(1, math.isqrt(envs) + 1) if envs % part == 0]
     parts = sorted({*small, *(envs // part for part in small)})
-    largest = max(part for part in parts if part <= max(1, most))
+    largest = max(part for part in parts if part <= max(1, limit))
     # The divisors of a prime number are 1 and itself.
     return (
-        largest if largest >= min(envs, most) / MIN_DIVISOR_RATIO else next(part for part in parts if part > most)
+        largest
+        if largest >= min(envs, limit) / MIN_DIVISOR_RATIO
+        else next(part for part in parts if part > limit)
     )
 
 
@@ -408,7 +415,7 @@ class Staging:
         self.written: Files = {}
         self.empty: set[str] = set()
         self._arrays: dict[str, ChunkEncoder] = {}
-        self._store = _created_files(folder)
+        self._store = _empty_store(folder)
         self._executor = ThreadPoolExecutor(1)
         self._writers = ThreadPoolExecutor(min(threads or available_threads(), WRITERS))
         self._pending: Future[None] | None = None

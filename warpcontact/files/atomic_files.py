@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from warpcontact.files.run_folder import RunPath, below_run, place_of
+from warpcontact.files.run_folder import RunPath, below_run, run_path_of
 
 
 def check_writable(path: Path | RunPath) -> None:
@@ -18,36 +18,36 @@ def check_writable(path: Path | RunPath) -> None:
         ValueError: If it is a folder, its folder does not exist, or it cannot be written; the message names it.
     """
     inside = below_run(path)
-    place = path.path if isinstance(path, RunPath) else path
+    target = path.path if isinstance(path, RunPath) else path
     try:
-        if place.is_dir() if inside is None else inside.is_real_folder():
+        if target.is_dir() if inside is None else inside.is_real_folder():
             raise ValueError(f"{path}: is a folder; give the name of a file")
-        if not place.parent.is_dir():
-            wrong = "is not a folder" if place.parent.exists() else "does not exist"
-            raise ValueError(f"{path}: {place.parent} {wrong}")
+        if not target.parent.is_dir():
+            wrong = "is not a folder" if target.parent.exists() else "does not exist"
+            raise ValueError(f"{path}: {target.parent} {wrong}")
         if inside is None:
-            _try(Path(os.path.realpath(place)))  # the target of a link, also of a dangling one
+            _try(Path(os.path.realpath(target)))  # the target of a link, also of a dangling one
         else:
             inside.try_to_replace()
     except OSError as error:
         raise ValueError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def _try(place: Path) -> None:
+def _try(target: Path) -> None:
     """Opens a file for writing without changing it."""
-    exists = place.exists()
-    if exists and not place.is_file():  # opening a pipe would wait for its reader
-        if not os.access(place, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
+    exists = target.exists()
+    if exists and not target.is_file():  # opening a pipe would wait for its reader
+        if not os.access(target, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target))
         return
-    place.open("ab").close()
+    target.open("ab").close()
     if not exists:
-        place.unlink()
+        target.unlink()
 
 
 def atomic_file(path: Path | RunPath) -> contextlib.AbstractContextManager[BinaryIO]:
     """Opens a new file that replaces ``path``, synced to the disk, when the block ends without an error."""
-    return place_of(path).replacing()
+    return run_path_of(path).replacement_file()
 
 
 @contextlib.contextmanager
@@ -57,7 +57,7 @@ def atomic_path(path: Path | RunPath) -> Iterator[Path]:
     Raises:
         OSError: If it cannot be written; the error names ``path``.
     """
-    with place_of(path).replaced() as partial:
+    with run_path_of(path).replacement_path() as partial:
         yield partial.path
 
 
@@ -72,7 +72,7 @@ def open_for_writing(path: Path | RunPath) -> Iterator[BinaryIO]:
         with open(str(path), "wb") as file:
             yield file
     else:
-        with inside.replacing() as file:
+        with inside.replacement_file() as file:
             yield file
 
 

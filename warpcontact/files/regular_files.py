@@ -42,17 +42,17 @@ def refused(path: object, reason: str) -> UnsafeFileError:
     return UnsafeFileError(errno.EPERM, reason, str(path))
 
 
-def check_regular(found: os.stat_result, path: object, most: int | None = None) -> None:
+def check_regular(found: os.stat_result, path: object, max_size: int | None = None) -> None:
     """Raises an error unless ``found`` is the status of a regular file.
 
     Args:
         found: Status of the file.
         path: Its name in messages.
-        most: Largest allowed size [bytes]; ``None``: any.
+        max_size: Largest allowed size [bytes]; ``None``: any.
 
     Raises:
         IsADirectoryError: If it is a folder.
-        UnsafeFileError: If it is a pipe, device, socket or link, or larger than ``most``.
+        UnsafeFileError: If it is a pipe, device, socket or link, or larger than ``max_size``.
     """
     if stat.S_ISDIR(found.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -61,13 +61,13 @@ def check_regular(found: os.stat_result, path: object, most: int | None = None) 
     if not stat.S_ISREG(found.st_mode):
         kind = _KINDS.get(stat.S_IFMT(found.st_mode), "a special file")
         raise refused(path, f"is not a regular file: it is {kind}")
-    if most is not None and found.st_size > most:
-        raise refused(path, f"must have at most {format_bytes(most)}, has {format_bytes(found.st_size)}")
+    if max_size is not None and found.st_size > max_size:
+        raise refused(path, f"must have at most {format_bytes(max_size)}, has {format_bytes(found.st_size)}")
 
 
 def open_regular(
     path: str | os.PathLike[str],
-    most: int | None = None,
+    max_size: int | None = None,
     *,
     shown: object = None,
     follow: bool = True,
@@ -78,23 +78,23 @@ def open_regular(
 
     Args:
         path: The file.
-        most: Largest allowed size [bytes]; ``None``: any.
+        max_size: Largest allowed size [bytes]; ``None``: any.
         shown: Its name in messages; ``None``: ``path``.
         follow: Whether to follow a symbolic link; otherwise it is refused.
         folder: Descriptor of the folder to which ``path`` is relative.
         flags: Additional flags of ``os.open``.
 
     Raises:
-        UnsafeFileError: If it is a pipe, device, socket or refused link, or larger than ``most``.
+        UnsafeFileError: If it is a pipe, device, socket or refused link, or larger than ``max_size``.
         OSError: If it cannot be opened.
     """
     shown = path if shown is None else shown
     # Check before opening: opening a device can have effects, and a socket cannot be opened.
-    check_regular(os.stat(path, dir_fd=folder, follow_symlinks=follow), shown, most)
+    check_regular(os.stat(path, dir_fd=folder, follow_symlinks=follow), shown, max_size)
     flags |= _READING if follow else _READING | getattr(os, "O_NOFOLLOW", 0)
     descriptor = os.open(path, flags, dir_fd=folder)
     try:
-        check_regular(os.fstat(descriptor), shown, most)
+        check_regular(os.fstat(descriptor), shown, max_size)
         return os.fdopen(descriptor, "rb")
     except BaseException:
         os.close(descriptor)

@@ -2,7 +2,7 @@
 
 ``RunPath`` opens, creates, lists, moves and removes files. Each folder of the path is opened by descriptor without
 following links; on systems without such descriptors it is checked before. New files are created exclusively. The
-path of the run folder itself may contain links. ``open_file`` and ``place_of`` apply the same rules to files that the
+path of the run folder itself may contain links. ``open_file`` and ``run_path_of`` apply the same rules to files that the
 user names, if they are below a run folder. All modules that access a run folder use this module.
 """
 
@@ -27,7 +27,7 @@ EXPERIMENT = "experiment.toml"
 SUMMARY = "run.json"
 
 # Number of files or folders that are synced concurrently.
-WAITING = 16
+MAX_CONCURRENT_SYNCS = 16
 
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 _FOLDER = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLOEXEC", 0)
@@ -116,7 +116,7 @@ class RunPath:
 
     def status(self) -> os.stat_result | None:
         """Returns the status of the entry, without following a link; ``None``: it is missing."""
-        with self._blamed():
+        with self._with_full_path():
             if not self.parts:
                 return os.stat(self.root) if self.root.exists() else None
             try:
@@ -125,7 +125,7 @@ class RunPath:
             except (FileNotFoundError, NotADirectoryError):
                 return None
 
-    def is_there(self) -> bool:
+    def exists(self) -> bool:
         """Whether an entry exists, also a link."""
         return self.status() is not None
 
@@ -163,7 +163,7 @@ class RunPath:
 
     def names(self) -> list[str]:
         """Returns the names in a folder, sorted; empty if the folder is missing."""
-        with self._blamed():
+        with self._with_full_path():
             try:
                 with self.opened() as (path, descriptor):
                     return sorted(os.listdir(path if descriptor is None else descriptor))
@@ -172,14 +172,14 @@ class RunPath:
 
     # Read
 
-    def open_binary(self, most: int | None = None, flags: int = 0) -> BufferedReader:
-        """Opens a regular file of at most ``most`` bytes in read mode, with additional flags of ``os.open``."""
-        with self._blamed(), self._entry() as entry:
-            return open_regular(entry.name, most, shown=self, follow=False, folder=entry.folder, flags=flags)
+    def open_binary(self, max_size: int | None = None, flags: int = 0) -> BufferedReader:
+        """Opens a regular file of at most ``max_size`` bytes in read mode, with additional flags of ``os.open``."""
+        with self._with_full_path(), self._entry() as entry:
+            return open_regular(entry.name, max_size, shown=self, follow=False, folder=entry.folder, flags=flags)
 
-    def read(self, most: int = TEXT) -> bytes:
-        """Returns the content of a regular file of at most ``most`` bytes."""
-        with self.open_binary(most) as file:
+    def read(self, max_size: int = TEXT) -> bytes:
+        """Returns the content of a regular file of at most ``max_size`` bytes."""
+        with self.open_binary(max_size) as file:
             return file.read()
 
     # Write
@@ -191,7 +191,7 @@ class RunPath:
         self.root.mkdir(parents=True, exist_ok=True)
         for count in range(1, len(self.parts) + 1):
             folder = RunPath(self.root, self.parts[:count])
-            with folder._blamed(), folder._entry() as entry:
+            with folder._with_full_path(), folder._entry() as entry:
                 try:
                     os.mkdir(entry.name, dir_fd=entry.folder)
                 except FileExistsError:
@@ -204,13 +204,13 @@ class RunPath:
         Args:
             flags: Additional flags of ``os.open``.
         """
-        with self._blamed(), self._entry() as entry:
+        with self._with_full_path(), self._entry() as entry:
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(entry.name, dir_fd=entry.folder)
             return os.open(entry.name, _NEW | flags, 0o666, dir_fd=entry.folder)
 
     @contextlib.contextmanager
-    def replaced(self, partial: str | None = None) -> Iterator["RunPath"]:
+    def replacement_path(self, partial: str | None = None) -> Iterator["RunPath"]:
         """Yields a new, empty file to write by name; it replaces this one when the block ends without an error.
 
         Args:
@@ -225,7 +225,7 @@ class RunPath:
             new.sync()
 
     @contextlib.contextmanager
-    def replacing(self, *, wait: bool = True) -> Iterator[BinaryIO]:
+    def replacement_file(self, *, wait: bool = True) -> Iterator[BinaryIO]:
         """Opens a new file, which replaces this one when the block ends without an error.
 
         Args:
@@ -239,7 +239,7 @@ class RunPath:
                 with os.fdopen(descriptor, "wb", closefd=False) as file:
                     yield file
                 if wait:
-                    with self._blamed():
+                    with self._with_full_path():
                         os.fsync(descriptor)
             finally:
                 os.close(descriptor)
@@ -260,14 +260,14 @@ class RunPath:
             self.parent.sync()
 
     def try_to_replace(self) -> None:
-        """Creates and removes the new file of ``replacing``, to test whether it can be written."""
+        """Creates and removes the new file of ``replacement_file``, to test whether it can be written."""
         new = self.with_name(f"{self.name}{PARTIAL}")
         os.close(new.create())
         new.remove()
 
     def move_to(self, other: "RunPath") -> None:
         """Moves the entry to ``other``, which is replaced."""
-        with self._blamed(), self._entry() as old, other._entry() as new:
+        with self._with_full_path(), self._entry() as old, other._entry() as new:
             os.replace(old.name, new.name, src_dir_fd=old.folder, dst_dir_fd=new.folder)
 
     def remove(self) -> None:
@@ -275,7 +275,7 @@ class RunPath:
         found = self.status()
         if found is None:
             return
-        with self._blamed(), self._entry() as entry, contextlib.suppress(FileNotFoundError):
+        with self._with_full_path(), self._entry() as entry, contextlib.suppress(FileNotFoundError):
             if stat.S_ISDIR(found.st_mode):
                 try:
                     shutil.rmtree(entry.name, dir_fd=entry.folder)
@@ -289,12 +289,12 @@ class RunPath:
     def sync(self) -> None:
         """Syncs the content of a file, or the names in a folder, to the disk."""
         if self.is_folder():
-            with self._blamed(), self.opened() as (_, descriptor):
+            with self._with_full_path(), self.opened() as (_, descriptor):
                 if descriptor is not None:
                     os.fsync(descriptor)
             return
         # Windows syncs only descriptors that are open for writing.
-        with self.open_binary(flags=os.O_RDWR if _WINDOWS else 0) as file, self._blamed():
+        with self.open_binary(flags=os.O_RDWR if _WINDOWS else 0) as file, self._with_full_path():
             os.fsync(file.fileno())
 
     # Descriptors
@@ -334,7 +334,7 @@ class RunPath:
             yield _Entry(str(path / self.name) if descriptor is None else self.name, descriptor)
 
     @contextlib.contextmanager
-    def _blamed(self) -> Iterator[None]:
+    def _with_full_path(self) -> Iterator[None]:
         """Sets the full path as the file name of an ``OSError``, which may have a part of it or none."""
         try:
             yield
@@ -349,7 +349,7 @@ def sync_all(paths: Iterable[RunPath]) -> None:
     """Syncs files and folders to the disk concurrently, so that the system writes many at a time."""
     once = list(dict.fromkeys(paths))
     if once:
-        with ThreadPoolExecutor(min(len(once), WAITING)) as pool:
+        with ThreadPoolExecutor(min(len(once), MAX_CONCURRENT_SYNCS)) as pool:
             for _ in pool.map(RunPath.sync, once):
                 pass
 
@@ -374,35 +374,35 @@ def below_run(path: Path | RunPath) -> RunPath | None:
     if isinstance(path, RunPath):
         return path
     # Do not resolve links, because links below the folder must be detected.
-    whole = Path(os.path.abspath(path))
-    root = next((folder for folder in whole.parents if is_run_folder(folder)), None)
+    absolute = Path(os.path.abspath(path))
+    root = next((folder for folder in absolute.parents if is_run_folder(folder)), None)
     if root is None:
         return None
-    parts = whole.relative_to(root).parts
+    parts = absolute.relative_to(root).parts
     # Keep the path as the user wrote it, for messages.
-    written = path.parents[len(parts) - 1] if len(path.parents) >= len(parts) and ".." not in path.parts else root
-    return RunPath(written, parts)
+    as_given = path.parents[len(parts) - 1] if len(path.parents) >= len(parts) and ".." not in path.parts else root
+    return RunPath(as_given, parts)
 
 
-def place_of(path: Path | RunPath) -> RunPath:
+def run_path_of(path: Path | RunPath) -> RunPath:
     """Returns the ``RunPath`` of a file of the user; the root is its run folder, or else its folder."""
     if isinstance(path, RunPath):
         return path
     return below_run(path) or RunPath(path.parent, (path.name,))
 
 
-def open_file(path: Path | RunPath, most: int | None = None) -> BufferedReader:
-    """Opens a regular file of at most ``most`` bytes in read mode; below a run folder, links are not followed.
+def open_file(path: Path | RunPath, max_size: int | None = None) -> BufferedReader:
+    """Opens a regular file of at most ``max_size`` bytes in read mode; below a run folder, links are not followed.
 
     Raises:
         UnsafeFileError: If it is a pipe or device, too large, or reached through a link below a run folder.
         OSError: If it cannot be opened.
     """
     inside = below_run(path)
-    return inside.open_binary(most) if inside is not None else open_regular(str(path), most)
+    return inside.open_binary(max_size) if inside is not None else open_regular(str(path), max_size)
 
 
-def read_file(path: Path | RunPath, most: int = TEXT) -> bytes:
+def read_file(path: Path | RunPath, max_size: int = TEXT) -> bytes:
     """Returns the content of a file, opened by ``open_file``."""
-    with open_file(path, most) as file:
+    with open_file(path, max_size) as file:
         return file.read()

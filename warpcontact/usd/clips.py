@@ -27,7 +27,7 @@ from warpcontact.drawing.content import Content
 from warpcontact.drawing.lines import Coil
 from warpcontact.files.atomic_files import write_json
 from warpcontact.files.regular_files import UnsafeFileError
-from warpcontact.files.run_folder import PARTIAL, RunPath, below_run, place_of
+from warpcontact.files.run_folder import PARTIAL, RunPath, below_run, run_path_of
 from warpcontact.usd.author import WORLD, Samples
 
 if TYPE_CHECKING:
@@ -81,11 +81,11 @@ def remove_file(path: Path) -> None:
     Raises:
         OSError: If the file cannot be removed; the message names it.
     """
-    place = place_of(path)
+    run_path = run_path_of(path)
     try:
-        if place.is_there():
-            place.remove()
-            place.parent.sync()
+        if run_path.exists():
+            run_path.remove()
+            run_path.parent.sync()
     except OSError as error:
         raise OSError(f"cannot write {path}: {error.strerror or error}") from error
 
@@ -108,12 +108,12 @@ def _atomic_replace(path: Path | RunPath) -> Iterator[Path]:
     """Yields the name of a temporary file that replaces ``path`` if the block ends without an error."""
     from pxr import Sdf, Tf
 
-    place = place_of(path)
-    path = place.path
+    run_path = run_path_of(path)
+    path = run_path.path
     try:
-        place.parent.make()
+        run_path.parent.make()
         # The suffix determines the format.
-        with place.replaced(f".{path.stem}{PARTIAL}{path.suffix}") as partial:
+        with run_path.replacement_path(f".{path.stem}{PARTIAL}{path.suffix}") as partial:
             yield partial.path
     except (Tf.ErrorException, OSError) as error:
         reason = error.strerror or str(error) if isinstance(error, OSError) else _first_sentence(str(error))
