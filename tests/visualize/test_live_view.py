@@ -151,7 +151,7 @@ def test_view_waits_for_the_first_commit(tmp_path):
         show.post(show._frame_bodies)
         show.post(lambda: show.picker._select("Next"))
         wait_for_thread(show)
-        assert show.problem == "there are none yet"
+        assert show.problem == "there are no environments yet"
 
 
 def test_failed_environments_are_marked(tmp_path):

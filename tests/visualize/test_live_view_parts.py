@@ -7,7 +7,7 @@ from viewer_helpers import ball_on_ground
 import warpcontact as wc
 from warpcontact.drawing.colors import GAPS, gap_colors
 from warpcontact.drawing.drawing import Shape
-from warpcontact.visualize.viewer.page import LONGEST, gap_legend, is_own, message, shortened, table
+from warpcontact.visualize.viewer.page import MAX_NAME_LENGTH, gap_legend, is_own, message, shortened, table
 from warpcontact.visualize.viewer.stage import by_color, is_same
 from warpcontact.visualize.viewer.values import ParameterText, value_text
 
@@ -54,7 +54,7 @@ def test_shapes_are_compared_by_their_geometry_and_colors():
 
 @pytest.mark.parametrize("text", HOSTILE)
 def test_page_text_is_escaped(text):
-    for written in (table([(text, text)]), message(text), message(text, bad=True)):
+    for written in (table([(text, text)]), message(text), message(text, is_error=True)):
         assert "<script" not in written
         assert "<img" not in written
         assert written.count("<") == written.count(">")
@@ -62,7 +62,7 @@ def test_page_text_is_escaped(text):
 
 def test_long_text_is_truncated():
     long = "<b>" * 4000
-    assert len(shortened(long)) == LONGEST
+    assert len(shortened(long)) == MAX_NAME_LENGTH
     assert len(table([(long, long)])) < 1500
     assert shortened("a\n b\tc") == "a b c"
 

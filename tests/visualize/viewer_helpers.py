@@ -31,8 +31,8 @@ def wait_for_thread(show):
     show.post(done.set)
     # The first call compiles kernels, possibly on a slow machine.
     assert done.wait(900.0), "the thread of the page does not answer"
-    seen = show.pictures
-    poll_until(lambda: show.pictures > seen)
+    seen = show.frames
+    poll_until(lambda: show.frames > seen)
 
 
 def poll_until(holds, timeout=60.0):

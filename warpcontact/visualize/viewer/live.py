@@ -14,7 +14,7 @@ from warpcontact.model.environments import Environments
 from warpcontact.scene.status import FailureCause
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.simulation import Simulation
-from warpcontact.visualize.viewer.page import FRAME_TIME, LocalServer, Picker, ViewerThread, shortened
+from warpcontact.visualize.viewer.page import FRAME_TIME, EnvironmentSelector, LocalServer, ViewerThread, shortened
 from warpcontact.visualize.viewer.values import ParameterText, rows_of, value_text
 
 #: Largest number of parameters with a permanent field; the others are chosen from a list.
@@ -218,7 +218,7 @@ class Live(ViewerThread):
         self.step_button = self.button("Step", self._step, hint="one time step of all environments")
         self._resets = gui.add_button_group("Reset", ("This one", "All"))
         self._resets.on_click(lambda event: self.post(lambda: self._reset(event.target.value)))
-        self.picker = Picker(self, self._select_env)
+        self.picker = EnvironmentSelector(self, self._select_env)
         self.add_display_options()
         with gui.add_folder("Sensors"):
             self._sensors = gui.add_html("")

@@ -21,14 +21,14 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from warpcontact.drawing.colors import GAPS
 from warpcontact.drawing.drawing import Drawing
 from warpcontact.validation import safe_text
-from warpcontact.visualize.viewer.stage import DEEP, FAR, Stage
+from warpcontact.visualize.viewer.stage import DEEP_FRACTION, FAR_FRACTION, Stage
 
 HOST = "127.0.0.1"
 #: Host names accepted in requests of a browser.
 LOCAL = (HOST, "localhost")
 #: Largest number of characters shown of a name and of a message, so that the page stays readable.
-LONGEST = 80
-LONGEST_MESSAGE = 2000
+MAX_NAME_LENGTH = 80
+MAX_MESSAGE_LENGTH = 2000
 
 # Logger to which the websockets library reports connection errors.
 _LOGGER = logging.getLogger("websockets.server")
@@ -36,7 +36,7 @@ _LOGGER = logging.getLogger("websockets.server")
 # WebSocket close code "policy violation" (RFC 6455, 7.4.1), for connections from foreign pages.
 _REFUSED = 1008
 
-#: Shortest time between two pictures [s].
+#: Shortest time between two frames [s].
 FRAME_TIME = 1.0 / 30.0
 # Time between two updates while the page is not playing [s].
 IDLE_TIME = 0.1
@@ -108,9 +108,9 @@ def is_own(host: str | None, origin: str | None) -> bool:
     return origin is None or origin == f"http://{host}"
 
 
-def shortened(text: str, most: int = LONGEST) -> str:
-    """Returns a text as one line of at most ``most`` characters."""
-    return safe_text.truncate(safe_text.single_line(text), most)
+def shortened(text: str, max_length: int = MAX_NAME_LENGTH) -> str:
+    """Returns a text as one line of at most ``max_length`` characters."""
+    return safe_text.truncate(safe_text.single_line(text), max_length)
 
 
 def table(rows: Iterable[tuple[str, str]]) -> str:
@@ -120,10 +120,10 @@ def table(rows: Iterable[tuple[str, str]]) -> str:
     return f'<table style="{_STYLE}">{"".join(lines)}</table>'
 
 
-def message(text: str, *, bad: bool = False) -> str:
-    """Returns an HTML element with escaped lines of text; red if ``bad``."""
-    color = ";color:#d6336c" if bad else ""
-    content = html.escape(text if len(text) <= LONGEST_MESSAGE else f"{text[:LONGEST_MESSAGE]}…")
+def message(text: str, *, is_error: bool = False) -> str:
+    """Returns an HTML element with escaped lines of text; red if ``is_error``."""
+    color = ";color:#d6336c" if is_error else ""
+    content = html.escape(text if len(text) <= MAX_MESSAGE_LENGTH else f"{text[:MAX_MESSAGE_LENGTH]}…")
     return f'<div style="{_STYLE};white-space:pre-wrap;overflow-wrap:anywhere{color}">{content}</div>'
 
 
@@ -162,7 +162,7 @@ class ViewerThread(ABC):
     """Page with the thread that serves it.
 
     Only this thread writes to the page. Commands from the page are put into a queue, which the thread empties
-    between two pictures, so that callbacks of the page return immediately.
+    between two frames, so that callbacks of the page return immediately.
 
     Args:
         server: Server of the page.
@@ -174,7 +174,7 @@ class ViewerThread(ABC):
         speed: Simulated time per wall-clock time.
         playing: Whether time advances.
         problem: Last problem shown; empty if there is none.
-        pictures: Number of updates so far.
+        frames: Number of updates so far.
     """
 
     def __init__(self, server: LocalServer, speed: float) -> None:
@@ -183,11 +183,10 @@ class ViewerThread(ABC):
         self.speed = speed
         self.playing = False
         self.problem = ""
-        self.pictures = 0
+        self.frames = 0
         self._commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="warpcontact view", daemon=True)
-        self._shown: dict[int, str] = {}
 
     def start(self) -> None:
         """Adds the controls to the page and starts the thread."""
@@ -230,10 +229,10 @@ class ViewerThread(ABC):
             now = time.monotonic()
             seconds, last = now - last, now
             self.run_guarded(lambda: self.tick(seconds))  # noqa: B023
-            self.pictures += 1
+            self.frames += 1
 
     def _take_commands(self, period: float, last: float) -> None:
-        """Executes queued commands until the next picture is due."""
+        """Executes queued commands until the next frame is due."""
         while not self._ended.is_set():
             remaining = last + period - time.monotonic()
             try:
@@ -262,7 +261,7 @@ class ViewerThread(ABC):
     def show_problem(self, text: str) -> None:
         """Shows a problem on the page; empty: removes it."""
         self.problem = text
-        self._problem_text.content = message(text, bad=True) if text else ""
+        self._problem_text.content = message(text, is_error=True) if text else ""
 
     # Controls of both pages.
 
@@ -311,27 +310,39 @@ class ViewerThread(ABC):
         with gui.add_folder("Display"):
             self.forces_input = self.on_change(
                 gui.add_checkbox("Forces", self.stage.forces, hint="arrows of contact forces"),
-                lambda on: self._set_display_option("forces", on),
+                self._show_forces,
             )
             self.length_input = self.on_change(
                 gui.add_slider("Arrows", 0.1, 20.0, 0.1, 1.0, hint="factor on the arrow length"),
-                lambda length: self._set_display_option("length", length),
+                self._scale_arrows,
             )
             self.gaps_input = self.on_change(
                 gui.add_checkbox(
                     "Gaps", self.stage.gaps, hint="red: inside, pale: in contact, blue: separated, gray: unknown"
                 ),
-                lambda on: self._set_display_option("gaps", on),
+                self._show_gaps,
             )
             self._gap_legend = gui.add_html("")
             self.follow_input = self.on_change(
                 gui.add_checkbox("Follow", self.stage.following, hint="the camera moves with the bodies"),
-                lambda on: self._set_display_option("following", on),
+                self._follow_bodies,
             )
             self.button("Frame the bodies", self._frame_bodies)
 
-    def _set_display_option(self, name: str, value: Any) -> None:
-        setattr(self.stage, name, value)
+    def _show_forces(self, on: bool) -> None:
+        self.stage.forces = on
+        self.redraw()
+
+    def _scale_arrows(self, length: float) -> None:
+        self.stage.length = length
+        self.redraw()
+
+    def _show_gaps(self, on: bool) -> None:
+        self.stage.gaps = on
+        self.redraw()
+
+    def _follow_bodies(self, on: bool) -> None:
+        self.stage.following = on
         self.redraw()
 
     def _frame_bodies(self) -> None:
@@ -344,7 +355,7 @@ class ViewerThread(ABC):
         self.stage.show(drawing, record, force_scale)
         legend = ""
         if self.stage.gaps and any(contact.gaps is not None for contact in drawing.contact_forces):
-            legend = gap_legend(DEEP * drawing.size, FAR * drawing.size)
+            legend = gap_legend(DEEP_FRACTION * drawing.size, FAR_FRACTION * drawing.size)
         self._gap_legend.content = legend
 
     @abstractmethod
@@ -382,7 +393,7 @@ class ViewerThread(ABC):
         self.write(self._status, text)
 
 
-class Picker:
+class EnvironmentSelector:
     """Panel that selects an environment: by number, previous, next, or next frozen.
 
     Args:
@@ -436,7 +447,7 @@ class Picker:
         among = self.marked if where == "Next frozen" else self.numbers
         if not len(among):
             self.viewer_thread.show_problem(
-                "no environment is frozen" if where == "Next frozen" else "there are none yet"
+                "no environment is frozen" if where == "Next frozen" else "there are no environments yet"
             )
             return
         if self.env is None:

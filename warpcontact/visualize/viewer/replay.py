@@ -20,7 +20,7 @@ from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.user_code import Trust
 from warpcontact.files.run_folder import RunPath
 from warpcontact.scene.status import FailureCause
-from warpcontact.visualize.viewer.page import LocalServer, Picker, ViewerThread
+from warpcontact.visualize.viewer.page import EnvironmentSelector, LocalServer, ViewerThread
 from warpcontact.visualize.viewer.values import rows_of, rows_of_parameters, value_text
 
 Facts = dict[str, list[tuple[str, str]]]
@@ -226,7 +226,7 @@ class Replay(ViewerThread):
         self.time_input = self.on_change(gui.add_slider("Time [s]", 0.0, 1.0, 1.0, 0.0), self._seek)
         self._steps = gui.add_button_group("Record", ("First", "Back", "On", "Last"))
         self._steps.on_click(lambda event: self.post(lambda: self._step_through(event.target.value)))
-        self.picker = Picker(self, self._select_env)
+        self.picker = EnvironmentSelector(self, self._select_env)
         self.add_display_options()
         self._facts = {}
         for name in ("Outcomes", "Parameters"):

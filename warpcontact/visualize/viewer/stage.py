@@ -23,7 +23,7 @@ ARROW = 0.03
 LINE = 0.02
 SPOT = 0.08
 #: Range of the gap colors, as multiples of the size: penetration and distance.
-DEEP, FAR = 0.02, 1.0
+DEEP_FRACTION, FAR_FRACTION = 0.02, 1.0
 
 # Up to this number of copies, all are drawn in full. With more, distant ones are simplified.
 FEW = 64
@@ -263,7 +263,7 @@ class Stage:
     def _draw_spots(self, node: Any, contact: ContactForces, record: int, size: float, *, shown: bool) -> None:
         gaps = None if contact.gaps is None else at(contact.gaps, record)
         # Without spots for large gaps, which would clutter the picture.
-        near = np.zeros(0, bool) if gaps is None or not (shown and self.gaps) else gaps < FAR * size
+        near = np.zeros(0, bool) if gaps is None or not (shown and self.gaps) else gaps < FAR_FRACTION * size
         if gaps is not None and near.any():
             # Update both together: a cloud with fewer colors than points is drawn black.
             with self.server.atomic():
@@ -291,7 +291,7 @@ def middle(drawing: Drawing, record: int) -> tuple[Array, float]:
 
 
 def _gap_colors(gaps: Array, size: float) -> Array:
-    return gap_colors(gaps, DEEP * size, FAR * size)
+    return gap_colors(gaps, DEEP_FRACTION * size, FAR_FRACTION * size)
 
 
 def _bytes(color: Array) -> NDArray[np.uint8]:
