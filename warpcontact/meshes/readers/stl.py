@@ -4,23 +4,23 @@ import struct
 
 import numpy as np
 
-from warpcontact.meshes.readers.content import Content, Groups, Unreadable, lists_as_arrays, numbers
+from warpcontact.meshes.readers.content import Content, Groups, Unreadable, numbers
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 def read_stl(data: bytes) -> Content:
     """Returns the triangles of an STL file, each with three vertices of its own."""
-    announced = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else None
+    header_count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else None
     # Decide by the size, because many binary files begin with "solid" too.
-    if announced is not None and len(data) == 84 + 50 * announced:
+    if header_count is not None and len(data) == 84 + 50 * header_count:
         return _separate_triangles(np.frombuffer(data, dtype=_RECORD, offset=84)["corners"].astype(np.float64))
     text = data.lstrip()
     if text[:5].lower() != b"solid" or b"\0" in text:
-        if announced is None:
+        if header_count is None:
             raise Unreadable(f"{len(data)} bytes are too few for a binary STL, and the file is not a text STL")
         raise Unreadable(
-            f"the header announces {announced} triangles, so {84 + 50 * announced} bytes of binary STL, but "
+            f"the header announces {header_count} triangles, so {84 + 50 * header_count} bytes of binary STL, but "
             f"the file has {len(data)} bytes"
         )
     return _read_text(text)
@@ -55,14 +55,15 @@ def _read_text(text: bytes) -> Content:
             solid = b" ".join(words[1:]).decode(errors="replace")
             groups.set(complete, [solid])
         elif kind == b"endsolid":
+            if facet:
+                raise Unreadable(f"line {number}: solid {solid!r} ends within a facet")
             solid = None
         elif kind not in (b"outer", b"endloop", b"", b"end"):
             word = kind[:40].decode(errors="replace")
             raise Unreadable(f"line {number}: not valid STL, unknown keyword {word!r}")
     if facet or solid is not None or len(vertices) != 3 * complete:
-        raise Unreadable(
-            f"the text ends within solid {solid!r}, after {complete} triangles; is the file cut short?"
-        )
-    content = _separate_triangles(lists_as_arrays(vertices, [])[0].reshape(-1, 3, 3))
+        within = "a facet" if facet else "vertices" if solid is None else f"solid {solid!r}"
+        raise Unreadable(f"the text ends within {within}, after {complete} triangles; is the file cut short?")
+    content = _separate_triangles(np.asarray(vertices, dtype=np.float64).reshape(-1, 3, 3))
     content.groups = groups.members(complete, np.arange(complete))
     return content
