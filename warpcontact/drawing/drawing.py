@@ -11,7 +11,7 @@ import trimesh
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.algebra.vectors import product, transform_points
+from warpcontact.algebra.vectors import quat_multiply, transform_points
 from warpcontact.drawing.content import POINT, Content
 from warpcontact.drawing.geometry import (
     INACTIVE,
@@ -261,7 +261,7 @@ def _world_poses(content: Content, body: Body | None, places: Array, turns: Arra
         return places[None], turns[None]
     positions, orientations = content.poses[body.name]
     moved = transform_points(places, positions, orientations)
-    return moved, product(orientations[:, :, None], turns)
+    return moved, quat_multiply(orientations[:, :, None], turns)
 
 
 def _surface_figures(content: Content, placement: Placement) -> Iterator[Figure]:

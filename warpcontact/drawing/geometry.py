@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.algebra.vectors import product, transform_points
+from warpcontact.algebra.vectors import quat_multiply, transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.kernels import shapes
 from warpcontact.kernels.shapes.base import Plane
@@ -247,7 +247,7 @@ class ShapeSet:
         positions, orientations = poses
         self.places = transform_points(placement.positions[..., None, :], positions, orientations)[..., 0, :]
         turns = np.broadcast_to(placement.orientations, orientations.shape)
-        self.turns = product(orientations, turns)
+        self.turns = quat_multiply(orientations, turns)
         # One prototype per distinct size; spheres and ellipsoids are scaled from a unit sphere.
         sizes = placement.sizes
         self.scaled = issubclass(placement.shape.kind, shapes.Sphere | shapes.Ellipsoid)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.algebra.vectors import inverse, product, shortest_rotations, transform_points
+from warpcontact.algebra.vectors import inverse, quat_multiply, shortest_rotations, transform_points
 from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.catalogue.device_model import unit_vectors
 from warpcontact.kernels.types import BALL, FIXED, HINGE, PLANAR, PRESCRIBED, SLIDER, TIME_FUNCTION, TRANSLATION
@@ -215,7 +215,7 @@ def write_joint(prim: Any, replay: Replay, body: Body, pose: tuple[Array, Array]
     joint.CreateLocalPos0Attr(Gf.Vec3f(*(place + np.asarray(offset)).tolist()))
     joint.CreateLocalRot0Attr(_quaternion(rotation))
     joint.CreateLocalPos1Attr(Gf.Vec3f(*local.tolist()))
-    joint.CreateLocalRot1Attr(_quaternion(product(to_body, rotation)))
+    joint.CreateLocalRot1Attr(_quaternion(quat_multiply(to_body, rotation)))
 
 
 def _quaternion(values: Array) -> Any:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
-from warpcontact.algebra.vectors import inverse, product
+from warpcontact.algebra.vectors import inverse, quat_multiply
 from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.kernels.couplings import bushing
 from warpcontact.scene import couplings as elements
@@ -59,12 +59,15 @@ class BushingSet(CouplingSet):
         self.settings: Any = None
         # Rotation from the first body to the second at rest, which is their relative orientation in the scene.
         rest = np.array(
-            [product(inverse(_orientation(one.bodies[1])), _orientation(one.bodies[0])) for one in self.couplings]
+            [
+                quat_multiply(inverse(_orientation(one.bodies[1])), _orientation(one.bodies[0]))
+                for one in self.couplings
+            ]
         )
 
         def computed(values: dict[str, Array]) -> dict[str, Array]:
             first = values.pop("orientation")
-            return {**values, "orientation_1": first, "orientation_2": product(rest, first)}
+            return {**values, "orientation_1": first, "orientation_2": quat_multiply(rest, first)}
 
         self._add_settings(parameters, self, t.Settings, _RANGES, computed)
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from warpcontact.algebra.vectors import cross, inverse, product
+from warpcontact.algebra.vectors import cross, inverse, quat_multiply
 from warpcontact.kernels.joints import driven
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TIME_FUNCTION, TRANSLATION
 from warpcontact.model.environments import Environments
@@ -67,7 +67,7 @@ def rotate_quaternions(orientation: Array, angle: Array) -> Array:
     size = np.linalg.norm(angle, axis=1, keepdims=True)
     # sin(x/2)/x, with its limit at x = 0.
     increment = np.hstack([0.5 * np.sinc(size / (2.0 * np.pi)) * angle, np.cos(0.5 * size)])
-    result = product(increment, orientation)
+    result = quat_multiply(increment, orientation)
     return result / np.linalg.norm(result, axis=1, keepdims=True)
 
 
@@ -257,7 +257,7 @@ class Bodies:
 
     def _arm(self, body: int, snapshot: Snapshot) -> Array:
         """Returns the vector from the anchor of a hinge or ball to the center of mass, world axes [m]."""
-        rotation = product(snapshot.orientation[body], inverse(self.start_orientation[body]))
+        rotation = quat_multiply(snapshot.orientation[body], inverse(self.start_orientation[body]))
         return rotation_matrices(rotation[None])[0] @ (self.start[body] - self.anchor[body])
 
     def _free_directions(self, body: int, snapshot: Snapshot) -> Array:
