@@ -86,7 +86,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_launch_shape_is_the_fastest_one_whose_conditions_hold(name):
+def test_launch_shape_is_the_fastest_one_without_an_obstacle(name):
     make, options, expected, reason = CASES[name]
     (part,) = simulation(make, **options).explain().parts
     assert part.shape.name == expected
@@ -104,7 +104,10 @@ def test_explanation_lists_kernels_and_reasons():
         "cpu: 3 environments, 2 slices, 2 threads\n"
         "  launch shape: fused contact (contact detection and force in one kernel per contact model, then the other "
         "stages)\n"
-        "  kernels of a step: update_sets, semi_implicit_euler, advance_history\n"
+        "  kernels of a step:\n"
+        "    update_sets (kernels/launch_shapes/fused_contact.py)\n"
+        "    semi_implicit_euler (kernels/integrators/semi_implicit.py)\n"
+        "    advance_history (kernels/contact/history.py)\n"
         "  not warp per environment: it is for GPUs\n"
         "  not loop per environment: environments have 2 bodies"
     )

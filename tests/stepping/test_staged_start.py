@@ -123,7 +123,8 @@ def test_builds_are_requested_after_the_first_chunk_and_those_of_steps_first(com
     assert not compiler.requests
     explanation = str(sim.explain())
     assert explanation.endswith("present steps use quick builds of kernels")
-    assert "kernels of a step: fused_steps\n  until these are compiled: add_travel, closest_point" in explanation
+    assert "kernels of a step:\n    fused_steps (kernels/launch_shapes/fused_steps_cpu.py)\n" in explanation
+    assert "until these are compiled:\n    add_travel (kernels/broadphase/motion_bound.py)\n" in explanation
     sim.step()
     for_steps, others = compiler.requests
     assert {kernel.key.split("__")[-1] for kernel in for_steps.kernels} == {"fused_steps"}

@@ -1,5 +1,6 @@
 """Explains how a simulation launches its steps: the launch shape of each part of the model, and its reasons."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from warpcontact.forces.launch_shape import LaunchShape
@@ -16,8 +17,10 @@ class PartExplanation:
         threads: Number of CPU threads that step the slices. 0 on a GPU.
         shape: The launch shape, with the reasons for which faster ones were rejected.
         kernels: Names of the kernels of one step, in order of their launches.
+        files: File of each of these kernels.
         present_shape: Launch shape of the steps until the kernels of ``shape`` are compiled in the background.
-        present_kernels: Kernels of one step of it.
+        present_kernels: Names of the kernels of one step of it.
+        present_files: File of each of these kernels.
     """
 
     device: str
@@ -26,8 +29,10 @@ class PartExplanation:
     threads: int
     shape: LaunchShape
     kernels: tuple[str, ...]
+    files: tuple[str, ...]
     present_shape: LaunchShape
     present_kernels: tuple[str, ...]
+    present_files: tuple[str, ...]
 
     def __str__(self) -> str:
         slices = f"{self.slices} slice{'s' * (self.slices > 1)}"
@@ -35,12 +40,17 @@ class PartExplanation:
         lines = [
             f"{self.device}: {self.envs} environment{'s' * (self.envs > 1)}, {slices}{threads}",
             f"  launch shape: {self.shape.name} ({self.shape.summary})",
-            f"  kernels of a step: {', '.join(self.kernels)}",
+            "  kernels of a step:",
+            *_kernel_lines(self.kernels, self.files),
         ]
         if self.present_kernels != self.kernels:
-            lines.append(f"  until these are compiled: {', '.join(self.present_kernels)}")
+            lines += ["  until these are compiled:", *_kernel_lines(self.present_kernels, self.present_files)]
         lines += [f"  not {name}: {reason}" for name, reason in self.shape.rejected.items()]
         return "\n".join(lines)
+
+
+def _kernel_lines(kernels: Sequence[str], files: Sequence[str]) -> list[str]:
+    return [f"    {kernel} ({file})" for kernel, file in zip(kernels, files, strict=True)]
 
 
 @dataclass(frozen=True)

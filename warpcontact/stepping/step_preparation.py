@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from pathlib import Path
 
 import warp as wp
 
 from warpcontact.forces.execution_plan import ExecutionPlan, KernelLister
+from warpcontact.kernels.lowlevel import unique_kernel
 from warpcontact.model.environments import Environments
 from warpcontact.model.model import DeviceModel
 from warpcontact.stepping.explanation import PartExplanation, StepExplanation
@@ -15,6 +17,8 @@ from warpcontact.stepping.slice_stepper import StepBuffers, Stepper
 from warpcontact.stepping.staged_start import StagedStart
 from warpcontact.stepping.worker_pool import DeviceShare
 from warpcontact.system.capture_lock import shared_capture_lock
+
+_KERNELS = Path(unique_kernel.__file__).parents[1]
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,10 @@ class StepPreparation:
                 self._stepper(part, buffers, shape, KernelLister)
                 for shape in (self._options.launch_shape, self._start.fastest_shape)
             ]
-            final, now = ((one.shape, tuple(map(_name, one.step_launches))) for one in steppers)
+            final, now = (
+                (one.shape, tuple(map(_name, one.step_launches)), tuple(map(_file, one.step_launches)))
+                for one in steppers
+            )
             on_cpu = threads if part.device.is_cpu else 0
             explanation = PartExplanation(str(part.device), part.envs, len(slices), on_cpu, *final, *now)
             parts.append(explanation)
@@ -162,3 +169,9 @@ class StepPreparation:
 def _name(kernel: wp.Kernel) -> str:
     """Returns the name of the function of a kernel."""
     return str(kernel.key.split("__")[-1])
+
+
+def _file(kernel: wp.Kernel) -> str:
+    """Returns the file of a kernel: its path from the folder of all kernels on, or its name if it is elsewhere."""
+    path = Path(kernel.func.__code__.co_filename)
+    return f"kernels/{path.relative_to(_KERNELS).as_posix()}" if path.is_relative_to(_KERNELS) else path.name
