@@ -225,7 +225,7 @@ class HertzElastic(Law):
     reference = "Hertz, J. reine angew. Math. 92 (1882) 156; Johnson, Contact Mechanics (1985); d: HuntCrossley"
     provenance = "S, D"
     validity = "semi-axes of the patch ≲ 0.1 of the radii, elastic, impact far slower than sound"
-    device = ("modulus", "factor", "chi", "speed_floor", "edge_radius")
+    device = ("modulus", "d", "chi", "speed_floor", "edge_radius")
     power = 1.5
     needs_curvature = True
 
@@ -260,7 +260,7 @@ class HertzElastic(Law):
     def coefficients(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {
             "modulus": values["modulus"],
-            "factor": damping_factor_of_restitution(values["restitution"]),
+            "d": damping_factor_of_restitution(values["restitution"]),
             "chi": values["damping"],
             "speed_floor": values["speed_floor"],
             "edge_radius": values["edge_radius"],
@@ -273,5 +273,5 @@ class HertzElastic(Law):
         stiffness = p.modulus * stiffness_per_modulus(
             wp.min(c.curvature_1, sharpest), wp.min(c.curvature_2, sharpest)
         )
-        damping = p.factor / wp.max(c.entry_speed, p.speed_floor) + p.chi
-        return stiffness * c.delta * wp.sqrt(c.delta) * (one + damping * c.delta_dot)
+        chi = p.d / wp.max(c.entry_speed, p.speed_floor) + p.chi
+        return stiffness * c.delta * wp.sqrt(c.delta) * (one + chi * c.delta_dot)

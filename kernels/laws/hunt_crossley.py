@@ -18,18 +18,18 @@ from warpcontact.kernels.laws.formulas import power, root_between
 SERIES_RANGE = 2.0e-3
 
 
-def restitution_of_damping_factor(factor: np.ndarray) -> np.ndarray:
+def restitution_of_damping_factor(d: np.ndarray) -> np.ndarray:
     """Returns the restitution e of N = f(δ)(1 + d δ̇/v₀) in a free impact, from d ≥ 0, for any elastic function f.
 
     e = [1 + W₀(−(1+d) exp(−(1+d)))]/d.
     """
     from scipy.special import lambertw  # slow to import, rarely needed
 
-    factor = np.asarray(factor, dtype=np.float64)
-    safe = np.maximum(factor, 1.0e-8)  # below, e = 1 − 2d/3 is exact to the digits that W provides
+    d = np.asarray(d, dtype=np.float64)
+    safe = np.maximum(d, 1.0e-8)  # below, e = 1 − 2d/3 is exact to the digits that W provides
     with np.errstate(divide="ignore"):
         exact = (1.0 + np.real(lambertw(-(1.0 + safe) * np.exp(-(1.0 + safe))))) / safe
-    return np.where(factor < 1.0e-4, 1.0 - 2.0 * factor / 3.0 + factor**2 * 4.0 / 9.0, exact)
+    return np.where(d < 1.0e-4, 1.0 - 2.0 * d / 3.0 + d**2 * 4.0 / 9.0, exact)
 
 
 def damping_factor_of_restitution(restitution: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ class HuntCrossley(Law):
     With ``restitution`` the factor d is the exact root of d(1+e) = ln[(1+d)/(1−de)], and v₀ is the entry speed of
     this contact, at least ``speed_floor``. Below that speed an impact dissipates less than prescribed, and the
     damping of a body placed at rest stays bounded. With ``damping`` the factor 1 + χ δ̇ has the constant χ [s/m],
-    as in Simbody (1.5 c) and Drake (d); restitution then decreases with speed.
+    1.5 c in Simbody and ``hunt_crossley_dissipation`` in Drake; restitution then decreases with speed.
 
     Example:
         >>> wc.laws.HuntCrossley(stiffness=1e5, restitution=0.7).exponent
@@ -71,7 +71,7 @@ class HuntCrossley(Law):
         ValueError: HuntCrossley.stiffness must be greater than 0, got -100000 N/mⁿ
     """
 
-    formula = "N = K δⁿ (1 + d δ̇/v₀),  d(1+e) = ln[(1+d)/(1−de)]"
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d(1+e) = ln[(1+d)/(1−de)];  or N = K δⁿ (1 + χ δ̇)"
     reference = (
         "Hunt & Crossley, J. Appl. Mech. 42 (1975) 440; exact d: Gonthier et al., Multibody Syst. Dyn. 11 (2004) "
         "209, Zhang & Sharf, J. Appl. Mech. 76 (2009) 051002"
@@ -79,7 +79,7 @@ class HuntCrossley(Law):
     provenance = "D"
     validity = "any δ-dependence; restitution independent of mass, stiffness and speed"
     exactly_one_of = ("restitution", "damping")
-    device = ("stiffness", "exponent", "factor", "chi", "speed_floor")
+    device = ("stiffness", "exponent", "d", "chi", "speed_floor")
 
     stiffness: float = parameter("N/mⁿ", "stiffness K", above=0.0)
     exponent: float = parameter("-", "exponent n", default=1.5, at_least=1.0, at_most=4.0)
@@ -92,11 +92,11 @@ class HuntCrossley(Law):
     @staticmethod
     def coefficients(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         zero = np.zeros_like(values["stiffness"])
-        factor = damping_factor_of_restitution(values["restitution"]) if "restitution" in values else zero
+        d = damping_factor_of_restitution(values["restitution"]) if "restitution" in values else zero
         return {
             "stiffness": values["stiffness"],
             "exponent": values["exponent"],
-            "factor": factor,
+            "d": d,
             "chi": values.get("damping", zero),
             "speed_floor": values["speed_floor"],
         }
@@ -104,21 +104,24 @@ class HuntCrossley(Law):
     @wp.func
     def force(p: Any, c: Any):
         entry_speed = wp.max(c.entry_speed, p.speed_floor)
-        damping = p.factor / entry_speed + p.chi
-        return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + damping * c.delta_dot)
+        chi = p.d / entry_speed + p.chi
+        return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + chi * c.delta_dot)
 
 
 class EntrySpeedLaw(Law):
-    """Base of laws whose damping factor d is a published function of e, ``damping_factor``."""
+    """Base of laws N = K δⁿ (1 + d δ̇/v₀) whose damping factor d is a function of e.
 
-    device = ("stiffness", "exponent", "factor", "speed_floor")
+    A subclass defines it as the static method ``damping_factor`` and has no device function of its own.
+    """
+
+    device = ("stiffness", "exponent", "d", "speed_floor")
 
     stiffness: float = parameter("N/mⁿ", "stiffness K", above=0.0)
     exponent: float = parameter("-", "exponent n", default=1.5, at_least=1.0, at_most=4.0)
     restitution: float = parameter("-", "coefficient of restitution e", at_least=0.01, at_most=1.0)
     speed_floor: float = parameter("m/s", "least entry speed v₀", default=0.01, above=0.0)
 
-    #: Returns d of e.
+    #: Returns the damping factor d of the restitution e.
     damping_factor: ClassVar[Callable[[np.ndarray], np.ndarray]]
 
     @classmethod
@@ -126,14 +129,14 @@ class EntrySpeedLaw(Law):
         return {
             "stiffness": values["stiffness"],
             "exponent": values["exponent"],
-            "factor": cls.damping_factor(values["restitution"]),
+            "d": cls.damping_factor(values["restitution"]),
             "speed_floor": values["speed_floor"],
         }
 
     @wp.func
     def force(p: Any, c: Any):
-        damping = p.factor / wp.max(c.entry_speed, p.speed_floor)
-        return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + damping * c.delta_dot)
+        chi = p.d / wp.max(c.entry_speed, p.speed_floor)
+        return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + chi * c.delta_dot)
 
 
 class HuntCrossley1975(EntrySpeedLaw):
@@ -272,5 +275,5 @@ class PantWijeyewickrema(EntrySpeedLaw):
     @wp.func
     def force(p: Any, c: Any):
         approach = wp.max(c.delta_dot, type(c.delta)(0.0))
-        damping = p.factor / wp.max(c.entry_speed, p.speed_floor)
-        return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + damping * approach)
+        chi = p.d / wp.max(c.entry_speed, p.speed_floor)
+        return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + chi * approach)
