@@ -60,7 +60,7 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
         envs,
         sim.distance_cache,
         ordered_sum=sim.deterministic or not gpu,
-        uses_queues=gpu,
+        one_thread_per_contact=gpu,
         write_outputs=False,
         semi_implicit_euler=sim.integrator.is_fusible,
     )

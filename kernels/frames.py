@@ -18,8 +18,8 @@ class Functions(NamedTuple):
     rotation_to_world: wp.Function  # rotation matrix B → W of a body
     velocity_at: wp.Function  # velocity of a body at an arm from its center of mass, W [m/s]
     copy_body: wp.Function  # copies the state of one body
-    wide: wp.Function  # vector in float64
-    narrow: wp.Function  # float64 vector, rounded
+    to_float64: wp.Function  # vector in float64
+    from_float64: wp.Function  # float64 vector, rounded
 
 
 @functools.cache
@@ -94,12 +94,12 @@ def functions(real: type) -> Functions:
         target.body_angular_velocity[env, body] = source.body_angular_velocity[env, body]
 
     @wp.func
-    def wide(v: vec3):
+    def to_float64(v: vec3):
         """Converts a vector to float64."""
         return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
 
     @wp.func
-    def narrow(v: wp.vec3d):
+    def from_float64(v: wp.vec3d):
         """Rounds a float64 vector to ``real``."""
         return vec3(real(v[0]), real(v[1]), real(v[2]))
 
@@ -111,6 +111,6 @@ def functions(real: type) -> Functions:
         rotation_to_world=rotation_to_world,
         velocity_at=velocity_at,
         copy_body=copy_body,
-        wide=wide,
-        narrow=narrow,
+        to_float64=to_float64,
+        from_float64=from_float64,
     )

@@ -14,6 +14,7 @@ class Functions(NamedTuple):
     matrix: wp.Function  # matrix of a quaternion
     rotated: wp.Function  # quaternion rotated by a rotation vector in W, normalized
     rotation_vector: wp.Function  # rotation vector of a quaternion, at most π long
+    spin: wp.Function  # angular velocity of a body from its angular momentum, W
 
 
 @functools.cache
@@ -92,4 +93,9 @@ def functions(real: type) -> Functions:
             return (two + sine * sine / real(3.0)) * v
         return (two * wp.atan2(sine, cosine) / sine) * v
 
-    return Functions(matrix=matrix, rotated=rotated, rotation_vector=rotation_vector)
+    @wp.func
+    def spin(inverse_inertia_B: mat33, q_WB: quat, momentum_W: vec3):
+        """Returns the angular velocity of a body with angular momentum ``momentum_W``, W [rad/s]."""
+        return wp.quat_rotate(q_WB, inverse_inertia_B * wp.quat_rotate_inv(q_WB, momentum_W))
+
+    return Functions(matrix=matrix, rotated=rotated, rotation_vector=rotation_vector, spin=spin)

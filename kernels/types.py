@@ -232,7 +232,9 @@ def structs(real: type) -> Structs:
         search_radius: real  # largest distance at which the surface is searched for [m]
         torsion_radius: real  # arm of torsional friction [m]; unused with HERTZ_TORSION
         force_scale: real  # factor on forces and torques [-]
-        closed: real  # gap below which the contact is closed [m]: 0, or the tolerance of nonsmooth contact
+        contact_tolerance: (
+            real  # gap below which the contact is closed [m]: 0, or the tolerance of nonsmooth contact
+        )
         enabled: wp.int32  # 0 or 1
 
     @wp.struct

@@ -31,7 +31,9 @@ def use_work_queues(monkeypatch):
         cache = model.arrays.cache
         cache.queue_clusters = wp.zeros(tasks, dtype=wp.int32, device="cpu")
         cache.queue_contacts = wp.zeros((QUEUE_COUNT, contacts), dtype=wp.int32, device="cpu")
-        return ExecutionPlan(model, count, cached, ordered, uses_queues=True, nonsmooth=nonsmooth, **own)
+        return ExecutionPlan(
+            model, count, cached, ordered, one_thread_per_contact=True, nonsmooth=nonsmooth, **own
+        )
 
     monkeypatch.setattr(step_preparation, "ExecutionPlan", queued)
     # A GPU evaluates frames without cached distances, because its face caches are smaller than those of a CPU.
@@ -47,5 +49,5 @@ def sum_by_body(contact_set):
     assert contact_set._single_thread
     contact_set._single_thread = False
     contact_set._kernel = force.kernel(
-        contact_set._parts, contact_set._traits, contact_set.real, moves=False, single_thread=False
+        contact_set._parts, contact_set._traits, contact_set.real, has_joints=False, single_thread=False
     )

@@ -108,7 +108,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
     friction_of_patch, clear_history = friction.friction, friction.clear_history
     pair_pose = solid_functions.functions(real).pair_pose
     frame = frame_functions(real)
-    wide, narrow = frame.wide, frame.narrow
+    to_float64, from_float64 = frame.to_float64, frame.from_float64
 
     @unique_kernel()
     def body_contact_forces(
@@ -261,9 +261,9 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 kinematics = ContactKinematics()
                                 kinematics.body_1 = solids.body[solid_1]
                                 kinematics.body_2 = solids.body[solid_2]
-                                kinematics.arm_1 = narrow(arm_1)
-                                kinematics.arm_2 = narrow(arm_2)
-                                kinematics.normal = narrow(normal_W)
+                                kinematics.arm_1 = from_float64(arm_1)
+                                kinematics.arm_2 = from_float64(arm_2)
+                                kinematics.normal = from_float64(normal_W)
                                 kinematics.penetration = real(depth)
                                 result = evaluate_contact(
                                     model, state, env, kinematics, body_contacts.entry_speed[env, pair], step[env, 0],
@@ -271,7 +271,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 )  # fmt: skip
                                 pressure = double(result.normal_force)
                                 normal_force = weight * pressure
-                                friction_W = weight * wide(result.friction_force)
+                                friction_W = weight * to_float64(result.friction_force)
                                 force_W = normal_force * normal_W + friction_W
                                 sums.area += weight
                                 sums.volume += weight * depth
@@ -322,8 +322,8 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                     sums.force += friction_W
                     sums.torque_1 += wp.cross(patch_shape.center, friction_W) + torque_W
                     sums.torque_2 -= wp.cross(patch_shape.center - pose.arm_1 + pose.arm_2, friction_W) + torque_W
-            total_force_W = narrow(scale * sums.force)
-            total_torque_W = narrow(scale * sums.torque_1)
+            total_force_W = from_float64(scale * sums.force)
+            total_torque_W = from_float64(scale * sums.torque_1)
             center_W = vec3d()
             mean_normal_W = vec3d()
             if sums.pressure > double(0.0):
@@ -331,26 +331,26 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 mean_normal_W = wp.normalize(sums.force - sums.friction)
             body_1 = solids.body[solid_1]
             if body_1 >= 0:
-                center_W += wide(state.body_position[env, body_1])
-                center_W += wide(state.body_position_remainder[env, body_1])
+                center_W += to_float64(state.body_position[env, body_1])
+                center_W += to_float64(state.body_position_remainder[env, body_1])
             body_contacts.status[env, pair] = contact_status
             body_contacts.depth[env, pair] = real(overlap.depth)
             body_contacts.share[env, pair] = real(wp.where(contact_status == CONTACT, overlap.share, double(0.0)))
             body_contacts.area[env, pair] = real(sums.area)
             body_contacts.volume[env, pair] = real(sums.volume)
-            body_contacts.normal[env, pair] = narrow(mean_normal_W)
-            body_contacts.center[env, pair] = narrow(wp.where(contact_status == CONTACT, center_W, vec3d()))
+            body_contacts.normal[env, pair] = from_float64(mean_normal_W)
+            body_contacts.center[env, pair] = from_float64(wp.where(contact_status == CONTACT, center_W, vec3d()))
             body_contacts.max_pressure[env, pair] = real(scale * sums.max_pressure)
             body_contacts.approach_speed[env, pair] = real(sums.approach_speed)
             body_contacts.normal_force[env, pair] = real(scale * sums.pressure)
-            body_contacts.friction_force[env, pair] = narrow(scale * sums.friction)
+            body_contacts.friction_force[env, pair] = from_float64(scale * sums.friction)
             body_contacts.force[env, pair] = total_force_W
             body_contacts.torque[env, pair] = total_torque_W
             end = first_end + 2 * pair
             ends.force[env, end] = total_force_W
             ends.torque[env, end] = total_torque_W
             ends.force[env, end + 1] = -total_force_W
-            ends.torque[env, end + 1] = narrow(scale * sums.torque_2)
+            ends.torque[env, end + 1] = from_float64(scale * sums.torque_2)
 
     return body_contact_forces
 

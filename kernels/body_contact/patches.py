@@ -201,7 +201,7 @@ def functions(friction: type[Formula], real_type: type) -> Functions:
     Memory = wp.array2d(dtype=history_variables.memory_struct(friction, real_type))
     evaluate, _, clear_history = history_variables.functions(friction, real_type, vectors="any")
     frame = frame_functions(real_type)
-    velocity_at, wide, narrow = frame.velocity_at, frame.wide, frame.narrow
+    velocity_at, to_float64, from_float64 = frame.velocity_at, frame.to_float64, frame.from_float64
 
     @wp.func
     def angular_velocity(state: State, env: int, body: int):
@@ -226,9 +226,11 @@ def functions(friction: type[Formula], real_type: type) -> Functions:
         dt: real_type,
         q_WS: quat,
     ):
-        slip = velocity_at(state, env, body_1, narrow(arm_1)) - velocity_at(state, env, body_2, narrow(arm_2))
+        slip = velocity_at(state, env, body_1, from_float64(arm_1)) - velocity_at(
+            state, env, body_2, from_float64(arm_2)
+        )
         spin = angular_velocity(state, env, body_1) - angular_velocity(state, env, body_2)
-        n_W = narrow(shape.normal)
+        n_W = from_float64(shape.normal)
         radius = real_type(shape.friction_radius)
         velocity = slip - wp.dot(slip, n_W) * n_W + (radius * wp.dot(spin, n_W)) * n_W
         tangential_state = TangentialState()
@@ -236,7 +238,7 @@ def functions(friction: type[Formula], real_type: type) -> Functions:
         tangential_state.normal_force = real_type(shape.normal_force)
         tangential_state.velocity = velocity
         tangential_state.speed = wp.length(velocity)
-        force = wide(
+        force = to_float64(
             evaluate(
                 history_in, history_out, env, member, coefficients, tangential_state, max_elapsed, dt, q_WS, n_W
             )

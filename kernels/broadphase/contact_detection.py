@@ -128,7 +128,7 @@ def functions(real: type, tracks: bool, part: str) -> Functions:
             - model.cluster_center[env, cluster]
         )
         geometry = model.contact_geometry[env, contact]
-        return center_clearance - rounded_up * wp.length(arm_B) - (geometry.radius + geometry.closed)
+        return center_clearance - rounded_up * wp.length(arm_B) - (geometry.radius + geometry.contact_tolerance)
 
     @wp.func
     def probe_distance(model: Model, env: int, start: int, stop: int, cluster: int, center_clearance: real):

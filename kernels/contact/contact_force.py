@@ -18,6 +18,7 @@ from warpcontact.kernels.types import (
     ENV_ACTIVE,
     HERTZ_TORSION,
     LaunchRange,
+    Struct,
     structs,
     task_count,
     task_env,
@@ -26,8 +27,9 @@ from warpcontact.kernels.types import (
 
 
 class Functions(NamedTuple):
-    """Device functions of a closed contact of one group."""
+    """Device functions of a closed contact of one group, and the struct of its wrench."""
 
+    ContactWrench: Struct  # force of a contact and its wrench on both bodies
     contact_wrench: wp.Function  # wrench of a closed contact on both bodies
     clear_history: wp.Function  # clears the history variables of an open contact: ``contact_evaluation.Functions``
     write_no_force: wp.Function  # writes zero forces for an open contact and clears its history variables
@@ -97,8 +99,8 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
             kinematics.curvature_2 = kinematics.curvature_1
         torsion_radius = real(-1.0)
         if wp.static(has_torsion):
-            of_overlap = (model.contact_options[contact] & HERTZ_TORSION) != 0
-            torsion_radius = wp.where(of_overlap, real(-1.0), geometry.torsion_radius)
+            uses_hertz_radius = (model.contact_options[contact] & HERTZ_TORSION) != 0
+            torsion_radius = wp.where(uses_hertz_radius, real(-1.0), geometry.torsion_radius)
         contact_force = evaluate_contact(
             model,
             state,
@@ -150,6 +152,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
             wp.atomic_add(wrenches.torque, env, body, torque_W)
 
     return Functions(
+        ContactWrench=ContactWrench,
         contact_wrench=contact_wrench,
         clear_history=clear_history,
         write_no_force=write_no_force,
@@ -174,7 +177,8 @@ def kernel(
     Contacts, ActiveContacts, Wrenches = t.Contacts, t.ActiveContacts, t.Wrenches
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     contact_functions = functions(contact_model, real, has_joints, projected)
-    contact_wrench, write_no_force, add_wrench = (
+    ContactWrench, contact_wrench, write_no_force, add_wrench = (
+        contact_functions.ContactWrench,
         contact_functions.contact_wrench,
         contact_functions.write_no_force,
         contact_functions.add_wrench,
@@ -183,14 +187,6 @@ def kernel(
     frame = frames.functions(real)
     orientation_to_world, offset_between = frame.orientation_to_world, frame.offset_between
     rotation_to_world = frame.rotation_to_world
-
-    @wp.struct
-    class WrenchPair:
-        """Wrenches on the point's body and on the surface's, about their centers of mass; forces are opposite."""
-
-        force: vec3
-        torque_1: vec3
-        torque_2: vec3
 
     @wp.func
     def evaluate_and_write(
@@ -212,12 +208,15 @@ def kernel(
         R_W1: mat33,
         write_outputs: bool,
     ):
-        """Returns the wrenches of one contact on both bodies; writes ``contacts`` if ``write_outputs``."""
-        pair = WrenchPair()
+        """Returns the wrench of one contact on both bodies.
+
+        Writes the approach speed, which the history needs, and with ``write_outputs`` the other results of
+        ``contacts``.
+        """
         # Early return: Warp evaluates both branches and copies every variable they assign.
         if contacts.status[env, contact] != CONTACT:
             write_no_force(contacts, history_out, env, contact, member, dt)
-            return pair
+            return ContactWrench()
         wrench = contact_wrench(
             model,
             state,
@@ -244,10 +243,7 @@ def kernel(
             contacts.normal_force[env, contact] = wrench.normal_force
             contacts.friction_force[env, contact] = wrench.friction_force
             contacts.torque[env, contact] = wrench.torque
-        pair.force = wrench.force
-        pair.torque_1 = wrench.torque_1
-        pair.torque_2 = wrench.torque_2
-        return pair
+        return wrench
 
     @unique_kernel()
     def contact_force(
@@ -290,11 +286,13 @@ def kernel(
             if wp.static(projected):
                 R_W1 = rotation_to_world(state, env, body_1)
             dt = step[env, 0]
-            total = WrenchPair()
+            force = vec3()
+            torque_1 = vec3()
+            torque_2 = vec3()
             for index in range(start, start + active_contacts.count[env, cluster]):
                 contact = assume_nonnegative(active_contacts.contact[env, index])
                 member = contact - first_contact
-                pair = evaluate_and_write(
+                wrench = evaluate_and_write(
                     model,
                     state,
                     history,
@@ -313,15 +311,15 @@ def kernel(
                     R_W1,
                     write_outputs,
                 )
-                total.force += pair.force
-                total.torque_1 += pair.torque_1
-                total.torque_2 += pair.torque_2
+                force += wrench.force
+                torque_1 += wrench.torque_1
+                torque_2 += wrench.torque_2
             if ordered:
-                active_contacts.force[env, cluster] = total.force
-                active_contacts.torque_1[env, cluster] = total.torque_1
-                active_contacts.torque_2[env, cluster] = total.torque_2
+                active_contacts.force[env, cluster] = force
+                active_contacts.torque_1[env, cluster] = torque_1
+                active_contacts.torque_2[env, cluster] = torque_2
             else:
-                add_wrench(wrenches, env, body_1, total.force, total.torque_1)
-                add_wrench(wrenches, env, body_2, -total.force, total.torque_2)
+                add_wrench(wrenches, env, body_1, force, torque_1)
+                add_wrench(wrenches, env, body_2, -force, torque_2)
 
     return contact_force

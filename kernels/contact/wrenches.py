@@ -1,4 +1,7 @@
-"""Sums cluster wrenches, coupling wrenches and external wrenches per body."""
+"""Sums the wrenches of contact clusters, of ends and of external forces per body.
+
+The first kernel after contact detection that writes wrenches also empties the work queues of detection.
+"""
 
 import functools
 from typing import NamedTuple
@@ -27,17 +30,17 @@ def reset_queues(queue_count: wp.array(dtype=wp.int32)):
 class Functions(NamedTuple):
     """Device functions of the wrench on a body about its center of mass."""
 
-    external_wrench: wp.Function  # of external forces and couplings
+    external_wrench: wp.Function  # of external forces and of forces at ends
     body_wrench: wp.Function  # of these and of the contacts, summed in a fixed order
 
 
 @functools.cache
-def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Functions:
+def functions(real: type, has_ends: bool, has_external_forces: bool) -> Functions:
     """Returns the device functions of the wrench on a body: ``external_wrench``; ``body_wrench`` adds contacts.
 
     Args:
         real: Scalar type, ``wp.float32`` or ``wp.float64``.
-        has_couplings: Whether there are couplings.
+        has_ends: Whether force elements have forces at their ends.
         has_external_forces: Whether there are external forces.
     """
     t = structs(real)
@@ -54,7 +57,7 @@ def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Fun
         if wp.static(has_external_forces):
             wrench.force = model.body_external_force[env, body]
             wrench.torque = model.body_external_torque[env, body]
-        if wp.static(has_couplings):
+        if wp.static(has_ends):
             for index in range(model.body_end_start[body], model.body_end_start[body + 1]):
                 end = model.body_end[index]
                 wrench.force += ends.force[env, end]
@@ -70,6 +73,7 @@ def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Fun
         while index < stop:
             entry = assume_nonnegative(model.body_cluster[index])
             index = assume_nonnegative(index + 1)
+            # entry = 2 · cluster + side; side 1: the body of the surface.
             cluster = entry // 2
             if active_contacts.count[env, cluster] > 0:
                 if entry == 2 * cluster:
@@ -84,20 +88,22 @@ def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Fun
 
 
 @functools.cache
-def clear(real: type, has_couplings: bool = False, has_external_forces: bool = False) -> wp.Kernel:
-    """Returns the kernel that initializes ``wrenches``, to which clusters are then added; items: bodies.
+def initialize_wrenches(real: type, has_ends: bool = False, has_external_forces: bool = False) -> wp.Kernel:
+    """Returns the kernel that sets ``wrenches`` to forces at ends and external forces; items: bodies.
+
+    Clusters are then added to them. The kernel also empties the work queues of contact detection.
 
     Args:
         real: Scalar type, ``wp.float32`` or ``wp.float64``.
-        has_couplings: Whether there are couplings.
+        has_ends: Whether force elements have forces at their ends.
         has_external_forces: Whether there are external forces.
     """
     t = structs(real)
     Model, CouplingWrenches, Wrenches = t.Model, t.CouplingWrenches, t.Wrenches
-    external_wrench = functions(real, has_couplings, has_external_forces).external_wrench
+    external_wrench = functions(real, has_ends, has_external_forces).external_wrench
 
     @unique_kernel()
-    def clear_wrenches(
+    def initialize_wrenches(
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         queue_count: wp.array(dtype=wp.int32),
@@ -116,18 +122,20 @@ def clear(real: type, has_couplings: bool = False, has_external_forces: bool = F
             wrenches.force[env, body] = wrench.force
             wrenches.torque[env, body] = wrench.torque
 
-    return clear_wrenches
+    return initialize_wrenches
 
 
 @functools.cache
-def sum_by_body(real: type, has_couplings: bool = False, has_external_forces: bool = False) -> wp.Kernel:
+def sum_by_body(real: type, has_ends: bool = False, has_external_forces: bool = False) -> wp.Kernel:
     """Returns the kernel that sums the wrenches on each body, clusters in their order; items: bodies.
 
-    Arguments are those of ``clear``.
+    The kernel also empties the work queues of contact detection.
+
+    Arguments are those of ``initialize_wrenches``.
     """
     t = structs(real)
     Model, ActiveContacts, CouplingWrenches, Wrenches = t.Model, t.ActiveContacts, t.CouplingWrenches, t.Wrenches
-    body_wrench = functions(real, has_couplings, has_external_forces).body_wrench
+    body_wrench = functions(real, has_ends, has_external_forces).body_wrench
 
     @unique_kernel()
     def sum_wrenches(

@@ -100,7 +100,7 @@ def placement(real: type, floored: bool) -> Placement:
     """Returns the device functions of the geometry of a catenary; ``floored``: whether there is a floor."""
     t = structs(real)
     vec3, Model, State = t.vec3, t.Model, t.State
-    wide = frames.functions(real).wide
+    to_float64 = frames.functions(real).to_float64
 
     @wp.struct
     class Plane:
@@ -121,16 +121,16 @@ def placement(real: type, floored: bool) -> Placement:
         """Returns the position of ``point``, W [m]."""
         body = model.point_body[point]
         if body < 0:
-            return wide(model.point_anchor[env, point]) + wide(arm_W)
-        return wide(state.body_position[env, body]) + (
-            wide(state.body_position_remainder[env, body]) + wide(arm_W)
+            return to_float64(model.point_anchor[env, point]) + to_float64(arm_W)
+        return to_float64(state.body_position[env, body]) + (
+            to_float64(state.body_position_remainder[env, body]) + to_float64(arm_W)
         )
 
     @wp.func
     def vertical_plane(gravity_W: vec3, position_a: wp.vec3d, position_b: wp.vec3d, line_settings: Settings):
         """Returns the plane of a catenary between two positions."""
         plane = Plane()
-        gravity = wide(gravity_W)
+        gravity = to_float64(gravity_W)
         strength = wp.length(gravity)
         if strength > zero:
             plane.up = -gravity / strength
@@ -177,7 +177,7 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
     point_position, vertical_plane = placing.point_position, placing.vertical_plane
     end = ends.functions(real)
     arm, pull = end.arm, end.pull
-    narrow = frames.functions(real).narrow
+    from_float64 = frames.functions(real).from_float64
 
     @unique_kernel()
     def line_forces(
@@ -296,14 +296,14 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
             on_high = -along - high * unit * plane.up
             dip = lowest * line_settings.length
             if plane.b_is_lower == 1:
-                pull(ends, env, end_a, arm_a, narrow(on_high))
-                pull(ends, env, end_a + 1, arm_b, narrow(on_low))
+                pull(ends, env, end_a, arm_a, from_float64(on_high))
+                pull(ends, env, end_a + 1, arm_b, from_float64(on_low))
                 lines.tension_a[env, line] = real(tension_high * unit)
                 lines.tension_b[env, line] = real(tension_low * unit)
                 dip += plane.rise
             else:
-                pull(ends, env, end_a, arm_a, narrow(on_low))
-                pull(ends, env, end_a + 1, arm_b, narrow(on_high))
+                pull(ends, env, end_a, arm_a, from_float64(on_low))
+                pull(ends, env, end_a + 1, arm_b, from_float64(on_high))
                 lines.tension_a[env, line] = real(tension_low * unit)
                 lines.tension_b[env, line] = real(tension_high * unit)
             lines.horizontal_tension[env, line] = real(h * unit)

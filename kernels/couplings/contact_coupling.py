@@ -115,7 +115,7 @@ def measure(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Contacts = t.Model, t.State, t.Contacts
     frame = frames.functions(real)
-    offset_between, wide = frame.offset_between, frame.wide
+    offset_between, to_float64 = frame.offset_between, frame.to_float64
 
     @unique_kernel()
     def measure_couplings(
@@ -134,14 +134,14 @@ def measure(real: type) -> wp.Kernel:
                 contact = model.cluster_contact[index]
                 if contacts.status[env, contact] == CONTACT:
                     arm = contacts.arm[env, contact]
-                    contribution = wide(contacts.normal_force[env, contact] * contacts.normal[env, contact])
-                    contribution += wide(contacts.friction_force[env, contact])
+                    contribution = to_float64(contacts.normal_force[env, contact] * contacts.normal[env, contact])
+                    contribution += to_float64(contacts.friction_force[env, contact])
                     if number > first:
                         # The points belong to the other body: add the reaction.
                         arm += offset_between(model, state, env, point, surface)
                         contribution = -contribution
                     force += contribution
-                    torque += wp.cross(wide(arm), contribution)
+                    torque += wp.cross(to_float64(arm), contribution)
         measured.force[env, coupling] = force
         measured.torque[env, coupling] = torque
 

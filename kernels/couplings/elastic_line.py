@@ -234,14 +234,14 @@ def newton(guess: vec2, x: real, y: real, chord: real, weight: real, give: real,
     while evaluations < at_most and not converged:
         evaluations += 1
         reached = span(h, v, weight, give)
-        off_x = reached[0] - x
-        off_y = reached[1] - y
-        off = size(off_x, off_y)
-        converged = off <= allowed
-        if off > max_error:
+        error_x = reached[0] - x
+        error_y = reached[1] - y
+        error = size(error_x, error_y)
+        converged = error <= allowed
+        if error > max_error:
             break
         # Derivative of the convex function along the last step. If it is positive, the step was too long.
-        rise = off_x * step_h + off_y * step_v
+        rise = error_x * step_h + error_y * step_v
         if rise > real(0.9) * slope and evaluations > 1 and not converged:
             back = part * wp.max(slope / (slope + rise), real(0.1))
             h += (back - part) * step_h
@@ -250,9 +250,9 @@ def newton(guess: vec2, x: real, y: real, chord: real, weight: real, give: real,
             continue
         rate = span_compliance(h, v, weight, give)
         determinant = rate[0] * rate[1] - rate[2] * rate[2]
-        step_h = -(rate[1] * off_x + rate[2] * off_y) / determinant
-        step_v = -(rate[2] * off_x + rate[0] * off_y) / determinant
-        slope = -(off_x * step_h + off_y * step_v)
+        step_h = -(rate[1] * error_x + rate[2] * error_y) / determinant
+        step_v = -(rate[2] * error_x + rate[0] * error_y) / determinant
+        slope = -(error_x * step_h + error_y * step_v)
         part = one
         if h + step_h < real(0.1) * h:
             # Keeps the horizontal tension positive.

@@ -27,12 +27,12 @@ def functions(real: type) -> Functions:
     t = structs(real)
     vec3, Model, State, CouplingWrenches = t.vec3, t.Model, t.State, t.CouplingWrenches
     frame = frames.functions(real)
-    turned, velocity_at = frame.rotate_to_world, frame.velocity_at
+    rotate_to_world, velocity_at = frame.rotate_to_world, frame.velocity_at
 
     @wp.func
     def arm(model: Model, state: State, env: int, point: int):
         """Returns the arm of ``point``, W [m]."""
-        return turned(state, env, model.point_body[point], model.point_position[env, point])
+        return rotate_to_world(state, env, model.point_body[point], model.point_position[env, point])
 
     @wp.func
     def separation(model: Model, state: State, env: int, point_1: int, point_2: int, arm_1: vec3, arm_2: vec3):

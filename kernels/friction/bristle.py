@@ -80,9 +80,9 @@ class LuGre(Friction):
         damping = p.damping * wp.exp(-x * x)
         pull = p.stiffness * m.deflection + damping * (s.velocity - relaxation(p, s) * m.deflection)
         size = wp.length(pull)
-        most = wp.max(p.mu_static, p.mu_dynamic)
-        if size > most:
-            pull = (most / size) * pull
+        largest_mu = wp.max(p.mu_static, p.mu_dynamic)
+        if size > largest_mu:
+            pull = (largest_mu / size) * pull
         return -s.normal_force * pull - p.viscosity * s.velocity
 
 

@@ -11,7 +11,7 @@ from warpcontact.kernels.contact import wrenches as wrench_functions
 from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative, hide_from_optimizer
 from warpcontact.kernels.lowlevel.static_strides import assume_strides
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.particles import sums as sums_of_piles
+from warpcontact.kernels.particles import sums as particle_sum_functions
 from warpcontact.kernels.particles.base import particle_structs
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
@@ -29,19 +29,6 @@ from warpcontact.kernels.types import (
 # Register limit per GPU thread in float32 with particle sums (measured): more resident threads hide memory
 # latency.
 REGISTERS = 72
-
-
-@functools.cache
-def _spin(real: type) -> wp.Function:
-    t = structs(real)
-    vec3, quat, mat33 = t.vec3, t.quat, t.mat33
-
-    @wp.func
-    def spin(inverse_inertia_B: mat33, q_WB: quat, momentum_W: vec3):
-        """Returns the angular velocity of a body with angular momentum ``momentum_W``, W [rad/s]."""
-        return wp.quat_rotate(q_WB, inverse_inertia_B * wp.quat_rotate_inv(q_WB, momentum_W))
-
-    return spin
 
 
 class EulerParts(NamedTuple):
@@ -64,8 +51,8 @@ def euler(real: type) -> EulerParts:
     """
     t = structs(real)
     vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
-    rotated = rotations.functions(real).rotated
-    spin = _spin(real)
+    rotation_functions = rotations.functions(real)
+    rotated, spin = rotation_functions.rotated, rotation_functions.spin
     guard_functions = accept_step.guard(real)
     Guard, failure_cause = guard_functions.Guard, guard_functions.failure_cause
 
@@ -174,7 +161,7 @@ def semi_implicit_euler(
         body_functions.write_body,
         body_functions.step_failure_cause,
     )
-    p, particle_sums = particle_structs(real), sums_of_piles.functions(real)
+    p, particle_sums = particle_structs(real), particle_sum_functions.functions(real)
     Particles, NeighborLists, PairRecords, WrenchSum, add_particle = (
         p.Particles,
         p.NeighborLists,
@@ -298,7 +285,7 @@ def change_step(real: type, has_joints: bool = False) -> wp.Kernel:
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
-    spin = _spin(real)
+    spin = rotations.functions(real).spin
 
     @unique_kernel()
     def change_step(

@@ -29,17 +29,19 @@ ONE = wp.constant(wp.float64(1.0))
 ZERO = wp.constant(wp.float64(0.0))
 # Lower bound on the inverse mass [1/kg] of an immovable body, because laws divide by it.
 MIN_INVERSE_MASS = wp.constant(wp.float64(1.0e-20))
+# Angular velocity of a body from its angular momentum.
+spin_of = rotations.functions(wp.float64).spin
 
 
 @wp.func
 def half_angle(axis: wp.vec3d, q: wp.quatd, q_initial: wp.quatd):
     """Returns sine and cosine of half the rotation angle about ``axis`` from ``q_initial`` to ``q``."""
-    turn = q * wp.quat_inverse(q_initial)
-    sine = axis[0] * turn[0] + axis[1] * turn[1] + axis[2] * turn[2]
-    size = wp.sqrt(sine * sine + turn[3] * turn[3])
+    relative_rotation = q * wp.quat_inverse(q_initial)
+    sine = axis[0] * relative_rotation[0] + axis[1] * relative_rotation[1] + axis[2] * relative_rotation[2]
+    size = wp.sqrt(sine * sine + relative_rotation[3] * relative_rotation[3])
     if size == ZERO:
         return ZERO, ONE
-    return sine / size, turn[3] / size
+    return sine / size, relative_rotation[3] / size
 
 
 @wp.func
@@ -66,14 +68,8 @@ def inertia_about(axis: wp.vec3d, q: wp.quatd, inertia_B: wp.mat33d):
 @wp.func
 def inertia_at(inertia_B: wp.mat33d, mass: wp.float64, arm_B: wp.vec3d):
     """Returns the inertia about a point from which the center of mass is at ``arm_B`` [kg·m²]."""
-    steiner = wp.dot(arm_B, arm_B) * wp.identity(n=3, dtype=wp.float64) - wp.outer(arm_B, arm_B)
-    return inertia_B + mass * steiner
-
-
-@wp.func
-def spin_of(inverse_B: wp.mat33d, q: wp.quatd, momentum: wp.vec3d):
-    """Returns the angular velocity in W of a body with angular momentum ``momentum`` in W."""
-    return wp.quat_rotate(q, inverse_B * wp.quat_rotate_inv(q, momentum))
+    parallel_axis = wp.dot(arm_B, arm_B) * wp.identity(n=3, dtype=wp.float64) - wp.outer(arm_B, arm_B)
+    return inertia_B + mass * parallel_axis
 
 
 @wp.func
@@ -83,7 +79,7 @@ def momentum_of(inertia_B: wp.mat33d, q: wp.quatd, w: wp.vec3d):
 
 
 @wp.func
-def arm_of(motion: BodyMotion, q: wp.quatd):
+def anchor_arm(motion: BodyMotion, q: wp.quatd):
     """Returns the vector from the anchor to the center of mass on a hinge or ball, for orientation ``q``, W."""
     if motion.kind == HINGE:
         sine, cosine = half_angle(motion.axis, q, motion.orientation)
@@ -97,7 +93,7 @@ def hinge_inertia(motion: BodyMotion, q: wp.quatd, inertia_B: wp.mat33d, mass: w
 
     The lever is the velocity of the center of mass over the rate of rotation.
     """
-    lever = wp.cross(motion.axis, arm_of(motion, q))
+    lever = wp.cross(motion.axis, anchor_arm(motion, q))
     return inertia_about(motion.axis, q, inertia_B) + mass * wp.dot(lever, lever), lever
 
 
@@ -135,7 +131,7 @@ def advance_velocity(
         angular = rate * axis
     elif kind == HINGE:
         inertia, lever = hinge_inertia(motion, q, inertia_B, mass)
-        rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(arm_of(motion, q), force)) / inertia
+        rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(anchor_arm(motion, q), force)) / inertia
         linear = rate * lever
         angular = rate * axis
     return linear, angular
@@ -144,16 +140,16 @@ def advance_velocity(
 class Functions(NamedTuple):
     """Device functions that read and write states and models of one precision, and the struct ``Guard``."""
 
-    wide: wp.Function  # vector in float64
-    narrow: wp.Function  # float64 vector, rounded
+    to_float64: wp.Function  # vector in float64
+    from_float64: wp.Function  # float64 vector, rounded
     matrix_to_float64: wp.Function  # matrix in float64
     quat_to_float64: wp.Function  # rotation in float64, normalized
     quat_from_float64: wp.Function  # float64 rotation, rounded
-    put: wp.Function  # sets the center of mass, with its rounding remainder
+    set_position: wp.Function  # sets the center of mass, with its rounding remainder
     set_velocity: wp.Function  # sets the linear and angular velocity
     check_body: wp.Function  # marks the step as failed if the state is invalid or a load is NaN
     Guard: Struct  # limits of environments, and causes of failures: ``accept_step.py``
-    moved: wp.Function  # pose on the joint after a step with given mean velocities
+    pose_after_step: wp.Function  # pose on the joint after a step with given mean velocities
     mobility: wp.Function  # inverse effective mass of a body with a joint for a force along a direction [1/kg]
     rotated: wp.Function  # float64 rotation, rotated by a rotation vector in W
 
@@ -164,7 +160,7 @@ def functions(real: type) -> Functions:
     t = structs(real)
     vec3, quat, mat33, Model, State, Wrenches = t.vec3, t.quat, t.mat33, t.Model, t.State, t.Wrenches
     frame = frames.functions(real)
-    wide, narrow = frame.wide, frame.narrow
+    to_float64, from_float64 = frame.to_float64, frame.from_float64
     rotated = rotations.functions(wp.float64).rotated
     guard_functions = accept_step.guard(real)
     Guard, failure_cause = guard_functions.Guard, guard_functions.failure_cause
@@ -187,19 +183,19 @@ def functions(real: type) -> Functions:
         return quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
 
     @wp.func
-    def put(state: State, env: int, body: int, base: wp.vec3d, offset: wp.vec3d):
+    def set_position(state: State, env: int, body: int, base: wp.vec3d, offset: wp.vec3d):
         """Sets the center of mass to ``base + offset``, with the rounding remainder of both precisions."""
         position = base + offset
         rounded_offset = position - base
         remainder = (base - (position - rounded_offset)) + (offset - rounded_offset)
-        rounded = narrow(position)
+        rounded = from_float64(position)
         state.body_position[env, body] = rounded
-        state.body_position_remainder[env, body] = narrow((position - wide(rounded)) + remainder)
+        state.body_position_remainder[env, body] = from_float64((position - to_float64(rounded)) + remainder)
 
     @wp.func
     def set_velocity(state: State, env: int, body: int, v: wp.vec3d, w: wp.vec3d):
-        state.body_linear_velocity[env, body] = narrow(v)
-        state.body_angular_velocity[env, body] = narrow(w)
+        state.body_linear_velocity[env, body] = from_float64(v)
+        state.body_angular_velocity[env, body] = from_float64(w)
 
     @wp.func
     def check_body(
@@ -220,7 +216,7 @@ def functions(real: type) -> Functions:
             guard.cause[env] = cause
 
     @wp.func
-    def moved(
+    def pose_after_step(
         state: State,
         env: int,
         body: int,
@@ -236,8 +232,8 @@ def functions(real: type) -> Functions:
         """
         kind = motion.kind
         axis = motion.axis
-        base = wide(state.body_position[env, body])
-        offset = wide(state.body_position_remainder[env, body])
+        base = to_float64(state.body_position[env, body])
+        offset = to_float64(state.body_position_remainder[env, body])
         orientation = state.body_orientation[env, body]
         q = quat_to_float64(orientation)
         if kind == PRESCRIBED:
@@ -247,21 +243,21 @@ def functions(real: type) -> Functions:
         elif kind == TRANSLATION:
             offset += dt * linear
         elif kind == SLIDER:
-            off = (base - motion.position) + offset
-            offset += dt * linear - (off - wp.dot(axis, off) * axis)
+            deviation = (base - motion.position) + offset
+            offset += dt * linear - (deviation - wp.dot(axis, deviation) * axis)
         elif kind == PLANAR:
-            off = (base - motion.position) + offset
-            offset += dt * linear - wp.dot(axis, off) * axis
+            deviation = (base - motion.position) + offset
+            offset += dt * linear - wp.dot(axis, deviation) * axis
             sine, cosine = half_angle(axis, q, motion.orientation)
             sine, cosine = add_half_angle(sine, cosine, dt * wp.dot(axis, angular))
             orientation = quat_from_float64(quat_about(axis, sine, cosine) * motion.orientation)
         elif kind == HINGE:
             sine, cosine = half_angle(axis, q, motion.orientation)
             sine, cosine = add_half_angle(sine, cosine, dt * wp.dot(axis, angular))
-            turn = quat_about(axis, sine, cosine)
-            orientation = quat_from_float64(turn * motion.orientation)
+            rotation = quat_about(axis, sine, cosine)
+            orientation = quat_from_float64(rotation * motion.orientation)
             base = motion.anchor
-            offset = wp.quat_rotate(turn, motion.position - motion.anchor)
+            offset = wp.quat_rotate(rotation, motion.position - motion.anchor)
         elif kind == BALL:
             orientation = quat_from_float64(rotated(q, dt * angular))
             base = motion.anchor
@@ -275,8 +271,8 @@ def functions(real: type) -> Functions:
 
         ``arm_W``: From the center of mass to the point of the force.
         """
-        n = wide(n_W)
-        arm = wide(arm_W)
+        n = to_float64(n_W)
+        arm = to_float64(arm_W)
         axis = motion.axis
         mass = wp.float64(model.body_mass[env, body])
         q = quat_to_float64(state.body_orientation[env, body])
@@ -292,28 +288,28 @@ def functions(real: type) -> Functions:
             inertia = inertia_about(axis, q, matrix_to_float64(model.body_inertia[env, body]))
             result = wp.dot(across, across) / mass + lever * lever / inertia
         elif motion.kind == HINGE:
-            lever = wp.dot(axis, wp.cross(arm_of(motion, q) + arm, n))
+            lever = wp.dot(axis, wp.cross(anchor_arm(motion, q) + arm, n))
             inertia, _ = hinge_inertia(motion, q, matrix_to_float64(model.body_inertia[env, body]), mass)
             result = lever * lever / inertia
         elif motion.kind == BALL:
-            centre = arm_of(motion, q)
-            centre_B = wp.quat_rotate_inv(q, centre)
-            inertia_B = inertia_at(matrix_to_float64(model.body_inertia[env, body]), mass, centre_B)
-            lever_B = wp.quat_rotate_inv(q, wp.cross(centre + arm, n))
+            center_arm = anchor_arm(motion, q)
+            center_arm_B = wp.quat_rotate_inv(q, center_arm)
+            inertia_B = inertia_at(matrix_to_float64(model.body_inertia[env, body]), mass, center_arm_B)
+            lever_B = wp.quat_rotate_inv(q, wp.cross(center_arm + arm, n))
             result = wp.dot(lever_B, wp.inverse(inertia_B) * lever_B)
         return real(wp.max(result, MIN_INVERSE_MASS))
 
     return Functions(
-        wide=wide,
-        narrow=narrow,
+        to_float64=to_float64,
+        from_float64=from_float64,
         matrix_to_float64=matrix_to_float64,
         quat_to_float64=quat_to_float64,
         quat_from_float64=quat_from_float64,
-        put=put,
+        set_position=set_position,
         set_velocity=set_velocity,
         check_body=check_body,
         Guard=Guard,
-        moved=moved,
+        pose_after_step=pose_after_step,
         mobility=mobility,
         rotated=rotated,
     )

@@ -48,8 +48,8 @@ class _Functions(NamedTuple):
 @functools.cache
 def _functions(motion: type[Motion]) -> _Functions:
     Coefficients = coefficients_struct(motion)
-    turning = rotations.functions(wp.float64)
-    rotated, rotation_vector = turning.rotated, turning.rotation_vector
+    rotation_functions = rotations.functions(wp.float64)
+    rotated, rotation_vector = rotation_functions.rotated, rotation_functions.rotation_vector
     if motion.sampled:
         displacement, rotation = motion.displacement, motion.rotation
     else:
@@ -62,11 +62,15 @@ def _functions(motion: type[Motion]) -> _Functions:
 
     @wp.func
     def offset_at(
-        p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64, body: BodyMotion, turn: wp.quatd
+        p: Coefficients,
+        samples: wp.array2d(dtype=wp.float64),
+        t: wp.float64,
+        body: BodyMotion,
+        rotation_W: wp.quatd,
     ):
-        """Returns the displacement of the center of mass at ``t``, with rotation ``turn``."""
+        """Returns the displacement of the center of mass at ``t``, with rotation ``rotation_W``."""
         arm = body.position - body.anchor
-        return (wp.quat_rotate(turn, arm) - arm) + displacement(p, t, samples)
+        return (wp.quat_rotate(rotation_W, arm) - arm) + displacement(p, t, samples)
 
     @wp.func
     def mean_velocities(
@@ -118,7 +122,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     Coefficients = coefficients_struct(motion)
     f, motion_functions = bodies.functions(real), _functions(motion)
-    quat_from_float64, put, set_velocity = f.quat_from_float64, f.put, f.set_velocity
+    quat_from_float64, set_position, set_velocity = f.quat_from_float64, f.set_position, f.set_velocity
     check_body, Guard = f.check_body, f.Guard
     rotation_at, offset_at, mean_velocities = (
         motion_functions.rotation_at,
@@ -153,11 +157,11 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
             before = time[env]
             # The same sum as that of the clock, so that both are bitwise identical.
             after = before + step[env, 0]
-            turn = rotation_at(p, samples, after)
+            rotation_W = rotation_at(p, samples, after)
             h = step[env, 0]
             v, w = mean_velocities(p, samples, motion, before + first * h, before + last * h)
-            put(state_out, env, body, motion.position, offset_at(p, samples, after, motion, turn))
-            state_out.body_orientation[env, body] = quat_from_float64(turn * motion.orientation)
+            set_position(state_out, env, body, motion.position, offset_at(p, samples, after, motion, rotation_W))
+            state_out.body_orientation[env, body] = quat_from_float64(rotation_W * motion.orientation)
             set_velocity(state_out, env, body, v, w)
             check_body(guard, wrenches, state_out, env, body, status)
 
@@ -171,7 +175,7 @@ def start(motion: type[Motion], real: type) -> wp.Kernel:
     Model, State = t.Model, t.State
     Coefficients = coefficients_struct(motion)
     f, motion_functions = bodies.functions(real), _functions(motion)
-    quat_from_float64, put, set_velocity = f.quat_from_float64, f.put, f.set_velocity
+    quat_from_float64, set_position, set_velocity = f.quat_from_float64, f.set_position, f.set_velocity
     rotation_at, offset_at, mean_velocities = (
         motion_functions.rotation_at,
         motion_functions.offset_at,
@@ -195,10 +199,10 @@ def start(motion: type[Motion], real: type) -> wp.Kernel:
         motion = model.body_motion[env, body]
         p = coefficients[env, item]
         now = time[env]
-        turn = rotation_at(p, samples, now)
+        rotation_W = rotation_at(p, samples, now)
         v, w = mean_velocities(p, samples, motion, now - VELOCITY_DT, now + VELOCITY_DT)
-        put(state, env, body, motion.position, offset_at(p, samples, now, motion, turn))
-        state.body_orientation[env, body] = quat_from_float64(turn * motion.orientation)
+        set_position(state, env, body, motion.position, offset_at(p, samples, now, motion, rotation_W))
+        state.body_orientation[env, body] = quat_from_float64(rotation_W * motion.orientation)
         set_velocity(state, env, body, v, w)
 
     return start_motion
@@ -214,7 +218,7 @@ def change_step(motion: type[Motion], real: type) -> wp.Kernel:
     Model, State = t.Model, t.State
     Coefficients = coefficients_struct(motion)
     f = bodies.functions(real)
-    wide, set_velocity = f.wide, f.set_velocity
+    to_float64, set_velocity = f.to_float64, f.set_velocity
     accelerations = _functions(motion).accelerations
 
     @unique_kernel()
@@ -238,8 +242,8 @@ def change_step(motion: type[Motion], real: type) -> wp.Kernel:
             earlier = wp.float64(0.5) * wp.float64(change[env, 0])
             motion = model.body_motion[env, body]
             linear, angular = accelerations(coefficients[env, item], samples, motion, time[env])
-            v = wide(state.body_linear_velocity[env, body]) - earlier * linear
-            w = wide(state.body_angular_velocity[env, body]) - earlier * angular
+            v = to_float64(state.body_linear_velocity[env, body]) - earlier * linear
+            w = to_float64(state.body_angular_velocity[env, body]) - earlier * angular
             set_velocity(state, env, body, v, w)
 
     return change_motion

@@ -53,7 +53,7 @@ def reactions(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     f = bodies.functions(real)
-    wide, matrix_to_float64, quat_to_float64 = f.wide, f.matrix_to_float64, f.quat_to_float64
+    to_float64, matrix_to_float64, quat_to_float64 = f.to_float64, f.matrix_to_float64, f.quat_to_float64
     accelerations = step.accelerations(real)
 
     @unique_kernel()
@@ -71,9 +71,11 @@ def reactions(real: type) -> wp.Kernel:
         mass = wp.float64(model.body_mass[env, body])
         inertia_B = matrix_to_float64(model.body_inertia[env, body])
         q = quat_to_float64(state.body_orientation[env, body])
-        w = wide(state.body_angular_velocity[env, body])
-        reaction = mass * (linear - wide(model.gravity[env, 0])) - wide(force)
-        moment = momentum_of(inertia_B, q, angular) + wp.cross(w, momentum_of(inertia_B, q, w)) - wide(torque)
+        w = to_float64(state.body_angular_velocity[env, body])
+        reaction = mass * (linear - to_float64(model.gravity[env, 0])) - to_float64(force)
+        moment = (
+            momentum_of(inertia_B, q, angular) + wp.cross(w, momentum_of(inertia_B, q, w)) - to_float64(torque)
+        )
         measured.force[env, body] = reaction
         measured.torque[env, body] = moment + wp.cross(arm, reaction)
 
@@ -86,7 +88,7 @@ def coordinates(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State = t.Model, t.State
     f = bodies.functions(real)
-    wide, quat_to_float64 = f.wide, f.quat_to_float64
+    to_float64, quat_to_float64 = f.to_float64, f.quat_to_float64
 
     @unique_kernel()
     def measure_coordinates(
@@ -106,13 +108,15 @@ def coordinates(real: type) -> wp.Kernel:
                     sine = -sine
                     cosine = -cosine
                 measured.angle[env, body] = wp.float64(2.0) * wp.atan2(sine, cosine)
-                measured.angle_rate[env, body] = wp.dot(motion.axis, wide(state.body_angular_velocity[env, body]))
+                measured.angle_rate[env, body] = wp.dot(
+                    motion.axis, to_float64(state.body_angular_velocity[env, body])
+                )
             elif motion.kind == SLIDER:
-                offset = wide(state.body_position[env, body]) - motion.position
-                offset += wide(state.body_position_remainder[env, body])
+                offset = to_float64(state.body_position[env, body]) - motion.position
+                offset += to_float64(state.body_position_remainder[env, body])
                 measured.displacement[env, body] = wp.dot(motion.axis, offset)
                 measured.displacement_rate[env, body] = wp.dot(
-                    motion.axis, wide(state.body_linear_velocity[env, body])
+                    motion.axis, to_float64(state.body_linear_velocity[env, body])
                 )
 
     return measure_coordinates

@@ -30,7 +30,7 @@ class Harmonic(Motion):
     reference = "elementary"
     provenance = "R"
     exactly_one_of = ("amplitude", "angle")
-    device = ("length", "turn", "direction", "frequency", "phase")
+    device = ("translation_amplitude", "rotation_amplitude", "direction", "frequency", "phase")
 
     direction: Vector = parameter("-", "direction or axis, world axes", shape=(3,), direction=True)
     amplitude: float | None = parameter("m", "amplitude of the displacement a", default=None)
@@ -43,8 +43,11 @@ class Harmonic(Motion):
 
     @classmethod
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        nothing = np.zeros_like(values["frequency"])
-        given = {"length": values.get("amplitude", nothing), "turn": values.get("angle", nothing)}
+        zero = np.zeros_like(values["frequency"])
+        given = {
+            "translation_amplitude": values.get("amplitude", zero),
+            "rotation_amplitude": values.get("angle", zero),
+        }
         return {name: values[name] for name in ("direction", "frequency", "phase")} | given
 
     @wp.func
@@ -52,13 +55,13 @@ class Harmonic(Motion):
         cycles = p.frequency * t
         # Remove whole cycles, because the sine of a large argument is less accurate.
         phase = TWO_PI * (cycles - wp.floor(cycles)) + p.phase
-        return p.length * wp.sin(phase) * p.direction
+        return p.translation_amplitude * wp.sin(phase) * p.direction
 
     @wp.func
     def rotation(p: Any, t: Any):
         cycles = p.frequency * t
         phase = TWO_PI * (cycles - wp.floor(cycles)) + p.phase
-        return p.turn * wp.sin(phase) * p.direction
+        return p.rotation_amplitude * wp.sin(phase) * p.direction
 
 
 @wp.func

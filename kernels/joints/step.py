@@ -11,7 +11,7 @@ import warp as wp
 from warpcontact.kernels.joints import bodies
 from warpcontact.kernels.joints.bodies import (
     advance_velocity,
-    arm_of,
+    anchor_arm,
     hinge_inertia,
     inertia_about,
     inertia_at,
@@ -48,8 +48,13 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     f = bodies.functions(real)
-    wide, matrix_to_float64, quat_to_float64, moved = f.wide, f.matrix_to_float64, f.quat_to_float64, f.moved
-    put, set_velocity, rotated = f.put, f.set_velocity, f.rotated
+    to_float64, matrix_to_float64, quat_to_float64, pose_after_step = (
+        f.to_float64,
+        f.matrix_to_float64,
+        f.quat_to_float64,
+        f.pose_after_step,
+    )
+    set_position, set_velocity, rotated = f.set_position, f.set_velocity, f.rotated
     check_body, Guard = f.check_body, f.Guard
 
     @unique_kernel()
@@ -73,30 +78,30 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             kind = motion.kind
             dt = wp.float64(step[env, 0])
             mass = wp.float64(model.body_mass[env, body])
-            force = wide(wrenches.force[env, body]) + mass * wide(model.gravity[env, 0])
-            torque = wide(wrenches.torque[env, body])
+            force = to_float64(wrenches.force[env, body]) + mass * to_float64(model.gravity[env, 0])
+            torque = to_float64(wrenches.torque[env, body])
             inertia_B = matrix_to_float64(model.body_inertia[env, body])
             q = quat_to_float64(state_in.body_orientation[env, body])
-            v = wide(state_in.body_linear_velocity[env, body])
-            w = wide(state_in.body_angular_velocity[env, body])
+            v = to_float64(state_in.body_linear_velocity[env, body])
+            w = to_float64(state_in.body_angular_velocity[env, body])
 
             linear, angular = advance_velocity(motion, mass, inertia_B, q, v, w, force, torque, dt)
             anchor_inertia_B = wp.mat33d()
             momentum = wp.vec3d()
             if kind == BALL:
-                arm = arm_of(motion, q)
+                arm = anchor_arm(motion, q)
                 anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
                 momentum = momentum_of(anchor_inertia_B, q, w) + dt * (torque + wp.cross(arm, force))
                 inverse_B = wp.inverse(anchor_inertia_B)
                 q_middle = rotated(q, wp.float64(0.5) * dt * spin_of(inverse_B, q, momentum))
                 angular = spin_of(inverse_B, q_middle, momentum)
 
-            base, offset, orientation = moved(state_in, env, body, motion, linear, angular, dt)
+            base, offset, orientation = pose_after_step(state_in, env, body, motion, linear, angular, dt)
             if kind == BALL:
                 angular = spin_of(wp.inverse(anchor_inertia_B), quat_to_float64(orientation), momentum)
             if kind == HINGE or kind == BALL:  # noqa: SIM109
                 linear = wp.cross(angular, offset)
-            put(state_out, env, body, base, offset)
+            set_position(state_out, env, body, base, offset)
             state_out.body_orientation[env, body] = orientation
             set_velocity(state_out, env, body, linear, angular)
             check_body(guard, wrenches, state_out, env, body, status)
@@ -113,7 +118,7 @@ def change_step(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     f = bodies.functions(real)
-    wide, set_velocity = f.wide, f.set_velocity
+    to_float64, set_velocity = f.to_float64, f.set_velocity
     accelerations_of = accelerations(real)
 
     @unique_kernel()
@@ -135,8 +140,8 @@ def change_step(real: type) -> wp.Kernel:
             force = wrenches.force[env, body]
             torque = wrenches.torque[env, body]
             linear, angular, arm = accelerations_of(model, state, env, body, force, torque)
-            w = wide(state.body_angular_velocity[env, body]) - earlier * angular
-            v = wide(state.body_linear_velocity[env, body]) - earlier * linear
+            w = to_float64(state.body_angular_velocity[env, body]) - earlier * angular
+            v = to_float64(state.body_linear_velocity[env, body]) - earlier * linear
             kind = model.body_motion[env, body].kind
             if kind == HINGE or kind == BALL:  # noqa: SIM109
                 v = wp.cross(w, arm)
@@ -151,7 +156,7 @@ def accelerations(real: type) -> wp.Function:
     t = structs(real)
     vec3, Model, State = t.vec3, t.Model, t.State
     f = bodies.functions(real)
-    wide, matrix_to_float64, quat_to_float64 = f.wide, f.matrix_to_float64, f.quat_to_float64
+    to_float64, matrix_to_float64, quat_to_float64 = f.to_float64, f.matrix_to_float64, f.quat_to_float64
 
     @wp.func
     def accelerations_of(model: Model, state: State, env: int, body: int, force_W: vec3, torque_W: vec3):
@@ -164,11 +169,11 @@ def accelerations(real: type) -> wp.Function:
         kind = motion.kind
         axis = motion.axis
         mass = wp.float64(model.body_mass[env, body])
-        force = wide(force_W) + mass * wide(model.gravity[env, 0])
-        torque = wide(torque_W)
+        force = to_float64(force_W) + mass * to_float64(model.gravity[env, 0])
+        torque = to_float64(torque_W)
         inertia_B = matrix_to_float64(model.body_inertia[env, body])
         q = quat_to_float64(state.body_orientation[env, body])
-        w = wide(state.body_angular_velocity[env, body])
+        w = to_float64(state.body_angular_velocity[env, body])
         linear = wp.vec3d()
         angular = wp.vec3d()
         arm = wp.vec3d()
@@ -180,12 +185,12 @@ def accelerations(real: type) -> wp.Function:
             linear = (force - wp.dot(axis, force) * axis) / mass
             angular = (wp.dot(axis, torque) / inertia_about(axis, q, inertia_B)) * axis
         elif kind == HINGE:
-            arm = arm_of(motion, q)
+            arm = anchor_arm(motion, q)
             inertia, _ = hinge_inertia(motion, q, inertia_B, mass)
             angular = (wp.dot(axis, torque + wp.cross(arm, force)) / inertia) * axis
             linear = wp.cross(angular, arm) + wp.cross(w, wp.cross(w, arm))
         elif kind == BALL:
-            arm = arm_of(motion, q)
+            arm = anchor_arm(motion, q)
             anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
             moment = torque + wp.cross(arm, force) - wp.cross(w, momentum_of(anchor_inertia_B, q, w))
             angular = spin_of(wp.inverse(anchor_inertia_B), q, moment)
@@ -204,7 +209,7 @@ def project_velocities(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State = t.Model, t.State
     f = bodies.functions(real)
-    wide, quat_to_float64, set_velocity = f.wide, f.quat_to_float64, f.set_velocity
+    to_float64, quat_to_float64, set_velocity = f.to_float64, f.quat_to_float64, f.set_velocity
 
     @unique_kernel()
     def project_onto_joints(mask: wp.array(dtype=wp.bool), model: Model, state: State):
@@ -214,8 +219,8 @@ def project_velocities(real: type) -> wp.Kernel:
         if not mask[env] or kind == FREE or kind == PRESCRIBED or kind == TIME_FUNCTION:  # noqa: SIM109
             return
         axis = motion.axis
-        v = wide(state.body_linear_velocity[env, body])
-        w = wide(state.body_angular_velocity[env, body])
+        v = to_float64(state.body_linear_velocity[env, body])
+        w = to_float64(state.body_angular_velocity[env, body])
         along = wp.dot(axis, w) * axis
         if kind == PLANAR:
             v -= wp.dot(axis, v) * axis
@@ -223,7 +228,7 @@ def project_velocities(real: type) -> wp.Kernel:
         elif kind == HINGE or kind == BALL:  # noqa: SIM109
             if kind == HINGE:
                 w = along
-            v = wp.cross(w, arm_of(motion, quat_to_float64(state.body_orientation[env, body])))
+            v = wp.cross(w, anchor_arm(motion, quat_to_float64(state.body_orientation[env, body])))
         else:
             w = wp.vec3d()
             if kind == SLIDER:

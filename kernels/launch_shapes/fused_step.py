@@ -108,10 +108,10 @@ def _functions(contact_model: ContactModel, real: type, projected: bool, width: 
         return mask
 
     @wp.func
-    def cluster_safe_travel(model: Model, cache: Cache, env: int, cluster: int, news: bool):
-        """Returns the safe travel of a cluster [m]; 0 with ``news``, if a contact is active or has just ended."""
+    def cluster_safe_travel(model: Model, cache: Cache, env: int, cluster: int, has_active_contact: bool):
+        """Returns the safe travel of a cluster [m]; 0 with ``has_active_contact``, also if a contact has just ended."""
         safe_travel = real(wp.inf)
-        if news:
+        if has_active_contact:
             return real(0.0)
         start = assume_nonnegative(model.cluster_start[cluster])
         size = model.cluster_start[cluster + 1] - start

@@ -1,9 +1,9 @@
 """Array layout of structs as compile-time information for CPU kernels.
 
 Warp reads the address and strides of an array at run time; computing addresses took a third of the instructions.
-On a CPU, arrays of one item kind are interleaved in records of known size, and other arrays have equal widths, so
-one address serves several arrays and most offsets are constants. ``warpcontact/storage/allocation_plan.py``
-allocates this layout; ``tests/test_strides.py`` checks it.
+On a CPU, arrays of one item kind are interleaved in records of known size. Groups of other arrays have rows of equal
+length. So one address serves several arrays and most offsets are constants.
+``warpcontact/storage/allocation_plan.py`` allocates this layout; ``tests/kernels/test_static_strides.py`` checks it.
 """
 
 import functools
@@ -44,8 +44,8 @@ _IN_RECORDS: dict[str, tuple[tuple[str, ...], ...] | None] = {
         ),
     ),
 }
-# By struct, groups of other arrays of equal width.
-_EQUALLY_WIDE: dict[str, tuple[tuple[str, ...], ...]] = {
+# By struct, groups of other arrays with the same row length.
+_SAME_ROW_LENGTH: dict[str, tuple[tuple[str, ...], ...]] = {
     "State": (
         (
             "body_position",
@@ -62,8 +62,8 @@ _EQUALLY_WIDE: dict[str, tuple[tuple[str, ...], ...]] = {
         ("face", "distance", "gradient"),
     ),
 }
-# By struct, arrays of a fixed width.
-_FIXED: dict[str, dict[str, int]] = {
+# By struct, arrays of a fixed row length.
+_FIXED_ROW_LENGTH: dict[str, dict[str, int]] = {
     "Model": {"face_corner": 4, "face_frame": 4, "face_normal": 7, "face_flags": 7, "face_neighbor": 3},
 }
 # Structs whose rows may be shared by all environments, so that only the strides along a row are known.
@@ -88,11 +88,7 @@ def record_layout(dtypes: Mapping[str, Any]) -> tuple[dict[str, int], int]:
 
 
 def _array_types(struct: Any) -> dict[str, Any]:
-    return {
-        name: struct_copy.type
-        for name, struct_copy in struct.vars.items()
-        if isinstance(struct_copy.type, wp.array)
-    }
+    return {name: field.type for name, field in struct.vars.items() if isinstance(field.type, wp.array)}
 
 
 @functools.cache
@@ -121,8 +117,8 @@ def assume_strides(struct: Any) -> wp.Function:
             )
             lines.append(f"struct_copy.{name}.strides[0] = struct_copy.{first}.shape[1] * {size};")
             lines.append(f"struct_copy.{name}.strides[1] = {size};")
-    widest = {name: names[0] for names in _EQUALLY_WIDE.get(kind, ()) for name in names}
-    fixed = _FIXED.get(kind, {})
+    row_length_of = {name: names[0] for names in _SAME_ROW_LENGTH.get(kind, ()) for name in names}
+    fixed = _FIXED_ROW_LENGTH.get(kind, {})
     for name, array_type in types.items():
         if any(name in names for names in record_fields(struct)):
             continue
@@ -132,7 +128,7 @@ def assume_strides(struct: Any) -> wp.Function:
             lines.append(f"struct_copy.{name}.strides[0] = {fixed[name]} * {size};")
         elif array_type.ndim == 2 and kind not in _SHARED:
             lines.append(
-                f"struct_copy.{name}.strides[0] = struct_copy.{widest.get(name, name)}.shape[1] * {size};"
+                f"struct_copy.{name}.strides[0] = struct_copy.{row_length_of.get(name, name)}.shape[1] * {size};"
             )
     lines.append("#endif\n")
 

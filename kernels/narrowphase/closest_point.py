@@ -92,7 +92,7 @@ def functions(real: type, tracks: bool, part: str) -> Functions:
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
     Contacts, Cache = t.Contacts, t.Cache
-    uses_queues = part != DETECT_ALL
+    defers = part != DETECT_ALL
     face_functions, cache_functions, search_functions = (
         closest_points.functions(real),
         face_cache.functions(real),
@@ -270,7 +270,7 @@ def functions(real: type, tracks: bool, part: str) -> Functions:
         search_gap = wp.max(geometry.search_radius - radius, real(0.0))
 
         # Distance below which the contact is closed.
-        contact_radius = radius + geometry.closed
+        contact_radius = radius + geometry.contact_tolerance
         # Mesh frame and unit, in which float32 is as accurate as the mesh.
         query_mesh, scale = set_frames.query_mesh, set_frames.scale
         contact_distance = contact_radius * set_frames.inverse_scale
@@ -404,7 +404,7 @@ def functions(real: type, tracks: bool, part: str) -> Functions:
                     if cached:
                         cache.face_count[env, contact] = 0
                     margin = error
-                    if wp.static(uses_queues) and cached and is_close:
+                    if wp.static(defers) and cached and is_close:
                         closest = closest_and_cache(model, query_mesh, p_S, closest, error, cache, env, contact)
                         is_ambiguous = lost_tie(closest)
                         closest.distance = wp.length(closest.to_point)

@@ -31,7 +31,7 @@ def scratch(real: type, rolls: bool) -> Struct:
 
     @wp.struct
     class Scratch:
-        rho: real  # [kg]
+        rho: real  # effective mass ρ at the contact, 3 over the trace of its block [kg]
         free: vec3  # q, W [m/s]
         previous: vec3  # impulse of the previous iteration, W [N·s]
         trial: vec3  # extrapolated impulse, W [N·s]
@@ -53,12 +53,12 @@ def scratch(real: type, rolls: bool) -> Struct:
 
 
 @functools.cache
-def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> wp.Kernel:
+def kernel(real: type, has_joints: bool, rolls: bool, is_fallback: bool = False) -> wp.Kernel:
     """Returns the solver of a step; items: one per environment.
 
     Args:
         real: Precision.
-        moves: Whether some bodies have joints.
+        has_joints: Whether some bodies have joints.
         rolls: Whether any contact has rolling or spinning resistance.
         is_fallback: Whether it runs after another solver that did not converge. It then reverts the
             ``velocity_change`` of that solver and continues its iteration count.
@@ -68,11 +68,11 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
     """
     t = structs(real)
     vec3 = t.vec3
-    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, has_joints)
     Scratch = wp.array2d(dtype=scratch(real, rolls))
-    f = velocity_update.functions(real, moves)
+    f = velocity_update.functions(real, has_joints)
     spin_after, relative_spin_change = (
-        velocity_update.relative_velocities(real, moves).spin_after,
+        velocity_update.relative_velocities(real, has_joints).spin_after,
         f.relative_spin_change,
     )
     velocity_change_at, apply_row_wrench = f.velocity_change_at, f.apply_row_wrench
@@ -86,7 +86,7 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
         f.residual_squared,
         f.projected_normal,
     )
-    common = solver_common.functions(real, moves, rolls)
+    common = solver_common.functions(real, has_joints, rolls)
     clear_change, initialize_row, spread_speed_scale, residual_scale = (
         common.clear_change,
         common.initialize_row,
@@ -165,7 +165,7 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
             theta = one
             beta = zero
             worst = zero
-            least = LARGEST
+            smallest_residual = LARGEST
             stalled = wp.int32(0)
             steps = wp.int32(0)
             while True:
@@ -224,14 +224,14 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
                 if worst <= target:
                     break
                 stalled += 1
-                if worst < least:
-                    least = worst
+                if worst < smallest_residual:
+                    smallest_residual = worst
                     stalled = 0
                     for row in range(count):
                         scratch[env, row].best = rows[env, row].impulse
                         if wp.static(rolls):
                             scratch[env, row].couple_best = rows[env, row].couple
-                if steps >= iterations or (stalled >= PATIENCE and least < ROUNDING * ROUNDING):
+                if steps >= iterations or (stalled >= PATIENCE and smallest_residual < ROUNDING * ROUNDING):
                     break
 
                 if curvature * length > step_norm:
@@ -295,9 +295,9 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
                         apply_row_wrench(rows, body_response, velocity_change, env, row, step, couple_step)
                 steps += 1
 
-            if worst > least:
+            if worst > smallest_residual:
                 # Return to the best iterate.
-                worst = least
+                worst = smallest_residual
                 for row in range(count):
                     step = scratch[env, row].best - rows[env, row].impulse
                     couple_step = vec3()

@@ -29,47 +29,52 @@ def scratch(real: type, rolls: bool) -> Struct:
 
     @wp.struct
     class Scratch:
-        stage: wp.int32  # BLOCK_*: state of ``block``
-        rho: real  # [kg]
+        block_state: wp.int32  # BLOCK_*: state of ``block``
+        rho: real  # effective mass ρ at the contact, 3 over the trace of ``block`` [kg]
         free: vec3  # q, W [m/s]
         inverse: mat33  # of the block, W [kg]
         block: mat33  # w per impulse, (normal, two tangents) [1/kg]
         before: vec3  # impulse before the sweep, W [N·s]
         last_sweep: vec3  # impulse after the previous sweep, W [N·s]
-        guess: vec3  # impulse before the solve, W [N·s]
+        guess: vec3  # impulse from which a fallback starts, W [N·s]
         if rolls:
-            couple_guess: vec3  # likewise [N·m·s]
+            couple_guess: vec3  # couple from which a fallback starts, W [N·m·s]
             turning: vec3  # relative angular velocity without contact, W [rad/s]
 
     return Scratch
 
 
 @functools.cache
-def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> wp.Kernel:
+def kernel(real: type, has_joints: bool, rolls: bool, has_fallback: bool = False) -> wp.Kernel:
     """Returns the solver of a step; items: one per environment.
 
     Args:
         real: Precision.
-        moves: Whether some bodies have joints.
+        has_joints: Whether some bodies have joints.
         rolls: Whether any contact has rolling or spinning resistance.
-        has_fallback: Whether another solver runs if this one fails. It then starts from the same warm start,
-            because the result of unconverged sweeps with heavy bodies on light ones converges slowly.
+        has_fallback: Whether another solver runs if this one fails. It then starts from the impulses before the
+            first sweep, because the result of unconverged sweeps with heavy bodies on light ones converges slowly.
+            These are the warm start or, for bodies at rest, the impulses of ``rest_impulses.py``.
 
-    Starts from the warm start in ``rows``. Stops at the tolerance, when rounding prevents a smaller residual, or
-    after ``iterations`` sweeps. Near convergence a sweep evaluates residuals before it changes impulses, and the
-    solve ends after a sweep without changes. A residual of a changing sweep mixes several states, so the last
-    sweep only evaluates. Between sweeps impulses are extrapolated with Nesterov's momentum, as in
-    ``accelerated.py``.
+    The first sweep starts from the warm start in ``rows``. The solve ends after
+
+    - a sweep in which all residuals are within the tolerance, so that no impulse changes,
+    - ``PATIENCE`` sweeps without a smaller residual, if the residual is within rounding, or
+    - ``iterations`` sweeps.
+
+    In the last two cases a final sweep only evaluates residuals, because those of a sweep that changes impulses
+    belong to several states. Far from convergence, a sweep changes impulses without evaluating residuals before.
+    Between sweeps impulses are extrapolated with Nesterov's momentum, as in ``accelerated.py``.
     """
     t = structs(real)
     vec3 = t.vec3
-    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, has_joints)
     Scratch = wp.array2d(dtype=scratch(real, rolls))
     c = cone.functions(real)
     basis, open_or_slipping_contact = c.basis, c.open_or_slipping_contact
-    f = velocity_update.functions(real, moves)
+    f = velocity_update.functions(real, has_joints)
     spin_after, relative_spin_change = (
-        velocity_update.relative_velocities(real, moves).spin_after,
+        velocity_update.relative_velocities(real, has_joints).spin_after,
         f.relative_spin_change,
     )
     velocity_change_at, apply_impulse, apply_row_impulse = (
@@ -80,14 +85,14 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
     angular_response_trace, project_couple = f.angular_response_trace, f.project_couple
     block_of, invert_symmetric, project_onto_cone = f.block, f.invert_symmetric, f.project_onto_cone
     impulse_response, residual_squared = f.impulse_response, f.residual_squared
-    if not moves:
+    if not has_joints:
         rest_functions = rest_impulses.functions(real, scratch(real, rolls))
         at_rest, solve_rest, zero_rest_velocities = (
             rest_functions.at_rest,
             rest_functions.solve_rest,
             rest_functions.zero_rest_velocities,
         )
-    common = solver_common.functions(real, moves, rolls)
+    common = solver_common.functions(real, has_joints, rolls)
     clear_change, initialize_row, spread_speed_scale, residual_scale = (
         common.clear_change,
         common.initialize_row,
@@ -119,7 +124,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
         """Stores the warm start and initializes the solver data."""
         for row in range(count):
             impulse = rows[env, row].impulse
-            scratch[env, row].stage = block_unset
+            scratch[env, row].block_state = block_unset
             scratch[env, row].before = impulse
             scratch[env, row].last_sweep = impulse
             if wp.static(has_fallback):
@@ -131,7 +136,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
     def slip_impulse(
         rows: Rows, body_response: BodyResponse, env: int, row: int, impulse: vec3, w: vec3, rho: real
     ):
-        """Returns the impulse of a row that slips fast, and whether it was found.
+        """Returns the impulse of a row that slides, and whether it was found.
 
         Fixed-point iteration over the slip direction, to which friction is opposite. Not found if the slip is so
         slow that the row may stick, if the row does not approach, if friction almost cancels the normal response,
@@ -155,24 +160,24 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
         previous_direction = slip / wp.sqrt(speed_squared)
         for _ in range(MAX_SLIP_ITERATIONS):
             along = n - mu * previous_direction
-            moved = impulse_response(body_response, env, body_1, arm_1, along) + impulse_response(
+            response = impulse_response(body_response, env, body_1, arm_1, along) + impulse_response(
                 body_response, env, body_2, arm_2, along
             )
-            parting = wp.dot(moved, n)
-            size = -wp.dot(free, n)
-            if rho * parting <= softening or size <= zero:
+            normal_response = wp.dot(response, n)
+            approach_speed = -wp.dot(free, n)
+            if rho * normal_response <= softening or approach_speed <= zero:
                 return impulse, 0
-            size = size / parting
-            slip = free + size * moved
+            normal_impulse = approach_speed / normal_response
+            slip = free + normal_impulse * response
             slip -= wp.dot(slip, n) * n
             speed = wp.length(slip)
             if speed <= zero:
                 return impulse, 0
-            turned = slip / speed
-            off = wp.length_sq(turned - previous_direction)
-            previous_direction = turned
-            if off <= DIRECTION_TOLERANCE * DIRECTION_TOLERANCE:
-                return size * along, 1
+            direction = slip / speed
+            change_squared = wp.length_sq(direction - previous_direction)
+            previous_direction = direction
+            if change_squared <= DIRECTION_TOLERANCE * DIRECTION_TOLERANCE:
+                return normal_impulse * along, 1
         return impulse, 0
 
     @wp.func
@@ -184,20 +189,20 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
         row: int,
         impulse: vec3,
         w: vec3,
-        stage: int,
+        block_state: int,
     ):
         """Returns the impulse that solves a row alone, from its current impulse and velocity ``w``, W."""
         n = rows[env, row].normal
         mu = rows[env, row].mu
         across_1, across_2 = basis(n)
-        if scratch[env, row].stage != stage:
-            scratch[env, row].stage = stage
+        if scratch[env, row].block_state != block_state:
+            scratch[env, row].block_state = block_state
             rho = scratch[env, row].rho
             W = block_of(body_response, env, rows[env, row].body_1, rows[env, row].arm_1)
             W += block_of(body_response, env, rows[env, row].body_2, rows[env, row].arm_2)
             inverse, invertible = invert_symmetric(W)
-            if rho > zero and (stage == block_softened or invertible == 0):
-                added = wp.where(stage == block_softened, softening_late, softening) / rho
+            if rho > zero and (block_state == block_softened or invertible == 0):
+                added = wp.where(block_state == block_softened, softening_late, softening) / rho
                 W += wp.diag(vec3(added, added, added))
                 inverse, invertible = invert_symmetric(W)
             R = wp.matrix_from_cols(n, across_1, across_2)
@@ -252,7 +257,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
 
             target = tolerance * tolerance
             worst = zero
-            least = LARGEST
+            smallest_residual = LARGEST
             theta = one
             stalled = wp.int32(0)
             final_sweep = wp.where(iterations <= 0, 1, 0)
@@ -264,12 +269,18 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                 guess_saved = wp.int32(1)
                 save_guess(rows, scratch, env, count)
             rest_tolerance = zero
-            if wp.static(not moves):
+            if wp.static(not has_joints):
                 # Resting bodies stay at rest, except for impulses of the last step that would now push them back.
                 if at_rest(body_response, velocity_change, env) == 1:
                     rest_tolerance = REST_TOLERANCE * REST_TOLERANCE
+            # unchecked: this sweep changes all rows without evaluating their residuals before.
+            # final_sweep: this sweep only evaluates.
+            # rest_tried: ``solve_rest`` has run, or is not tried any more.
+            # rest_solved: ``solve_rest`` has changed the impulses, so the next sweep starts.
+            # rest_sweeps: 1 after that; equal to ``sweeps`` if no other sweep changed impulses.
+            # guess_saved: the impulses before the first sweep are stored, and the data of the rows initialized.
             unchecked = wp.int32(0)
-            stage = wp.int32(BLOCK_EXACT)
+            block_state = wp.int32(BLOCK_EXACT)
             while True:
                 worst = zero
                 uphill = zero
@@ -289,24 +300,27 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                     )
                     w = scratch[env, row].free + velocity_change_at(velocity_change, env, body_1, arm_1)
                     w -= velocity_change_at(velocity_change, env, body_2, arm_2)
-                    off = zero
+                    residual = zero  # squared and relative
                     if unchecked == 0:
-                        off = residual_squared(impulse, w, n, mu, rho) / scale
-                        worst = wp.max(worst, off)
-                    if wp.static(not moves):
-                        if rest_tried == 0 and off > rest_tolerance:
+                        residual = residual_squared(impulse, w, n, mu, rho) / scale
+                        worst = wp.max(worst, residual)
+                    if wp.static(not has_joints):
+                        if rest_tried == 0 and residual > rest_tolerance:
                             # Before any change.
                             rest_tried = 1
                             if rho * rho * wp.length_sq(w) < STICK_SPEED * wp.length_sq(impulse):
                                 rest_solved = solve_rest(rows, body_response, velocity_change, scratch, env, count)
                             if rest_solved == 1:
                                 break
-                    if guess_saved == 0 and off > target:
+                    if guess_saved == 0 and residual > target:
                         guess_saved = 1
                         save_guess(rows, scratch, env, count)
                     if unchecked == 1 or (
                         final_sweep == 0
-                        and (off > target or (changes > 0 and off > KEEP_FRACTION * KEEP_FRACTION * target))
+                        and (
+                            residual > target
+                            or (changes > 0 and residual > KEEP_FRACTION * KEEP_FRACTION * target)
+                        )
                     ):
                         changes += 1
                         slips = wp.int32(0)
@@ -314,10 +328,10 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                         if sweeps == 0:
                             new, slips = slip_impulse(rows, body_response, env, row, impulse, w, rho)
                         if slips == 0:
-                            new = exact_impulse(rows, body_response, scratch, env, row, impulse, w, stage)
+                            new = exact_impulse(rows, body_response, scratch, env, row, impulse, w, block_state)
                         if rho > zero:
-                            previous_direction = scratch[env, row].before - new
-                            uphill += wp.dot(previous_direction, new - scratch[env, row].last_sweep) / rho
+                            gradient = scratch[env, row].before - new
+                            uphill += wp.dot(gradient, new - scratch[env, row].last_sweep) / rho
                         step = new - impulse
                         if unchecked == 1:
                             worst = wp.max(worst, wp.length_sq(step) / scale)
@@ -332,20 +346,21 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                             turning = scratch[env, row].turning + relative_spin_change(
                                 velocity_change, env, body_1, body_2
                             )
-                            pressed = wp.max(wp.dot(impulse, n), zero)
+                            normal_impulse = wp.max(wp.dot(impulse, n), zero)
                             couple = rows[env, row].couple
                             new = project_couple(
                                 couple - three / trace * turning,
                                 n,
-                                rows[env, row].rolling * pressed,
-                                rows[env, row].spinning * pressed,
+                                rows[env, row].rolling * normal_impulse,
+                                rows[env, row].spinning * normal_impulse,
                             )
                             step = new - couple
                             # As an impulse: divided by the arm at which force and couple have the same mobility.
-                            off = rho * trace / three * wp.length_sq(step) / scale
-                            worst = wp.max(worst, off)
+                            residual = rho * trace / three * wp.length_sq(step) / scale
+                            worst = wp.max(worst, residual)
                             if final_sweep == 0 and (
-                                off > target or (changes > 0 and off > KEEP_FRACTION * KEEP_FRACTION * target)
+                                residual > target
+                                or (changes > 0 and residual > KEEP_FRACTION * KEEP_FRACTION * target)
                             ):
                                 changes += 1
                                 rows[env, row].couple = new
@@ -361,10 +376,10 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                     break
                 sweeps += 1
                 if sweeps == SOFTEN_AFTER:
-                    stage = block_softened
+                    block_state = block_softened
                 stalled += 1
-                if worst < least:
-                    least = worst
+                if worst < smallest_residual:
+                    smallest_residual = worst
                     stalled = 0
                 if sweeps >= iterations or (stalled >= patience and worst < ROUNDING * ROUNDING):
                     final_sweep = 1
@@ -391,7 +406,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                     scratch[env, row].last_sweep = last_sweep
 
             apply_change(body_response, velocity_change, env)
-            if wp.static(not moves):
+            if wp.static(not has_joints):
                 if worst <= target and rest_sweeps == sweeps:
                     zero_rest_velocities(rows, body_response, velocity_change, env, count, rest_sweeps)
             if wp.static(has_fallback):

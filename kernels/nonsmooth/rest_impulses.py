@@ -88,14 +88,16 @@ def functions(real: type, Scratch: type) -> Functions:
         second_moment = mat33()
         for row in range(first, last):
             arm = wp.where(rows[env, row].body_1 == body, rows[env, row].arm_1, rows[env, row].arm_2) - centroid
-            size = wp.length_sq(arm)
+            distance_squared = wp.length_sq(arm)
             fraction = over * load_weight(rows, env, row, by_load)
-            second_moment += fraction * (wp.diag(vec3(size, size, size)) - wp.outer(arm, arm))
+            second_moment += fraction * (
+                wp.diag(vec3(distance_squared, distance_squared, distance_squared)) - wp.outer(arm, arm)
+            )
         inverse, invertible = invert_symmetric(second_moment)
         if invertible == 0:
             return 0, angular_impulse
         impulse = velocity_change[env, body].stop_impulse
-        turn = inverse * (velocity_change[env, body].stop_angular_impulse - wp.cross(centroid, impulse))
+        rotation = inverse * (velocity_change[env, body].stop_angular_impulse - wp.cross(centroid, impulse))
         for row in range(first, last):
             arm = rows[env, row].arm_1
             arm_on_other = rows[env, row].arm_2
@@ -104,7 +106,7 @@ def functions(real: type, Scratch: type) -> Functions:
                 arm = rows[env, row].arm_2
                 arm_on_other = rows[env, row].arm_1
                 sign = -one
-            added = over * load_weight(rows, env, row, by_load) * (impulse + wp.cross(turn, arm - centroid))
+            added = over * load_weight(rows, env, row, by_load) * (impulse + wp.cross(rotation, arm - centroid))
             new = rows[env, row].impulse + sign * added
             along = wp.dot(new, rows[env, row].normal)
             limit = ROUNDED_UP * rows[env, row].mu * along
@@ -237,15 +239,17 @@ def functions(real: type, Scratch: type) -> Functions:
         for row in range(count):
             one_body = rows[env, row].body_1
             other_body = rows[env, row].body_2
-            least = real(wp.inf)
+            smallest_speed_squared = real(wp.inf)
             fastest = zero
             if one_body >= 0:
-                least = velocity_change[env, one_body].speed_squared
+                smallest_speed_squared = velocity_change[env, one_body].speed_squared
                 fastest = fastest_squared(body_response, env, one_body, rows[env, row].arm_1)
             if other_body >= 0:
-                least = wp.min(least, velocity_change[env, other_body].speed_squared)
+                smallest_speed_squared = wp.min(
+                    smallest_speed_squared, velocity_change[env, other_body].speed_squared
+                )
                 fastest = wp.max(fastest, fastest_squared(body_response, env, other_body, rows[env, row].arm_2))
-            if fastest > ROUNDING * ROUNDING * least:
+            if fastest > ROUNDING * ROUNDING * smallest_speed_squared:
                 return 0
         return 1
 

@@ -24,7 +24,7 @@ MAX_ROUNDS = 4
 
 
 @functools.cache
-def kernel(real: type, moves: bool) -> wp.Kernel:
+def kernel(real: type, has_joints: bool) -> wp.Kernel:
     """Returns the kernel that selects the restitution factor for the next solve; items: 1.
 
     It runs after each solve, with ``number`` 0 after the first, which has the factor 1. If that adds energy, up to
@@ -34,8 +34,8 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
     t = structs(real)
     State = t.State
     RestitutionLimit = record_structs(real).RestitutionLimit
-    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
-    f = relative_velocities(real, moves)
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, has_joints)
+    f = relative_velocities(real, has_joints)
     velocity_before, velocity_after = f.before, f.after
     spin_before, spin_after = f.spin_before, f.spin_after
     last = wp.constant(MAX_ROUNDS - 1)

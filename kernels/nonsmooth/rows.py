@@ -59,8 +59,8 @@ def row_structs(real: type) -> RowStructs:
 
 
 @functools.cache
-def body_response_struct(real: type, moves: bool) -> Struct:
-    """Returns the struct of the response of a body to impulses; with ``moves`` some bodies have joints."""
+def body_response_struct(real: type, has_joints: bool) -> Struct:
+    """Returns the struct of the response of a body to impulses; with ``has_joints`` some bodies have joints."""
     vec3, mat33 = structs(real).vec3, structs(real).mat33
 
     @wp.struct
@@ -73,7 +73,7 @@ def body_response_struct(real: type, moves: bool) -> Struct:
         linear: vec3  # velocity of the center of mass; before the solve: without contact, W [m/s]
         angular: vec3  # W [rad/s]
         inverse_inertia: mat33  # C, W [1/(kg·m²)]
-        if moves:
+        if has_joints:
             inverse_mass_matrix: mat33  # A, W [1/kg]
             inverse_mass_coupling: mat33  # B, W [1/(kg·m)]
         else:
@@ -112,12 +112,12 @@ class SolveTypes(NamedTuple):
 
 
 @functools.cache
-def solve_types(real: type, moves: bool) -> SolveTypes:
-    """Returns the types for ``real``; with ``moves`` some bodies have joints."""
+def solve_types(real: type, has_joints: bool) -> SolveTypes:
+    """Returns the types for ``real``; with ``has_joints`` some bodies have joints."""
     r = row_structs(real)
     return SolveTypes(
         Rows=r.Rows,
         SolveResult=r.SolveResult,
-        BodyResponse=wp.array2d(dtype=body_response_struct(real, moves)),
+        BodyResponse=wp.array2d(dtype=body_response_struct(real, has_joints)),
         VelocityChange=wp.array2d(dtype=velocity_change_struct(real)),
     )

@@ -30,10 +30,10 @@ from warpcontact.kernels.types import (
 
 
 @functools.cache
-def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
+def kernel(real: type, has_joints: bool, rolls: bool) -> wp.Kernel:
     """Returns the kernel that stores the rows of an accepted step as warm starts of their contacts; items: 1.
 
-    With ``moves`` some bodies have joints, with ``rolls`` some contacts have rolling or spinning resistance.
+    With ``has_joints`` some bodies have joints, with ``rolls`` some contacts have rolling or spinning resistance.
     Environments that slept in the step (``skip_sleeping``) become active again.
 
     An impulse P at a contact with relative velocities U⁻ before and U⁺ after dissipates −P·(U⁻ + U⁺)/2. With θ =
@@ -42,14 +42,14 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     t = structs(real)
     vec3, State, Wrenches = t.vec3, t.State, t.Wrenches
     records = record_structs(real)
-    Rows, SolveResult, BodyResponse, _ = solve_types(real, moves)
+    Rows, SolveResult, BodyResponse, _ = solve_types(real, has_joints)
     StoredImpulse, StoredImpulses, StepStatistics = (
         records.StoredImpulse,
         records.StoredImpulses,
         records.StepStatistics,
     )
     RestitutionLimit = records.RestitutionLimit
-    f = relative_velocities(real, moves)
+    f = relative_velocities(real, has_joints)
     velocity_before, velocity_after = f.before, f.after
     spin_before, spin_after = f.spin_before, f.spin_after
     # Distance to the boundary of the cone at which a contact slips: rounding, and the error of the solver.

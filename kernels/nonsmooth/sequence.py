@@ -39,22 +39,22 @@ def scratch(real: type) -> Struct:
 
 
 @functools.cache
-def kernel(real: type, moves: bool) -> wp.Kernel:
+def kernel(real: type, has_joints: bool) -> wp.Kernel:
     """Returns the kernel that sets ``restitution_speed`` of all rows by sequential impacts; items: 1.
 
-    With ``moves`` some bodies have joints.
+    With ``has_joints`` some bodies have joints.
     """
     State = structs(real).State
-    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, has_joints)
     ImpactRows = wp.array2d(dtype=scratch(real))
-    before = velocity_update.relative_velocities(real, moves).before
-    f = velocity_update.functions(real, moves)
+    before = velocity_update.relative_velocities(real, has_joints).before
+    f = velocity_update.functions(real, has_joints)
     velocity_change_at, impulse_response, apply_row_impulse = (
         f.velocity_change_at,
         f.impulse_response,
         f.apply_row_impulse,
     )
-    clear_change = solver_common.functions(real, moves, False).clear_change
+    clear_change = solver_common.functions(real, has_joints, False).clear_change
     zero = wp.constant(real(0.0))
     impacts, sweeps = wp.constant(MAX_IMPACTS_PER_CONTACT), wp.constant(MAX_SWEEPS)
     tie_factor, solve_fraction = wp.constant(real(1.0 + TIE)), wp.constant(real(0.1))

@@ -29,21 +29,21 @@ class Functions(NamedTuple):
 
 
 @functools.cache
-def functions(real: type, moves: bool, rolls: bool) -> Functions:
-    """Returns the device functions for ``real``; with ``moves`` some bodies have joints.
+def functions(real: type, has_joints: bool, rolls: bool) -> Functions:
+    """Returns the device functions for ``real``; with ``has_joints`` some bodies have joints.
 
     With ``rolls`` some contacts have rolling or spinning resistance.
     """
     t = structs(real)
     vec3 = t.vec3
-    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, moves)
-    f = velocity_update.functions(real, moves)
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, has_joints)
+    f = velocity_update.functions(real, has_joints)
     apply_impulse_pair, response_trace, angular_response_trace = (
         f.apply_impulse_pair,
         f.response_trace,
         f.angular_response_trace,
     )
-    between = velocity_update.relative_velocities(real, moves)
+    between = velocity_update.relative_velocities(real, has_joints)
     velocity, spin = between.after, between.spin_after
     zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
     # Velocity over that of the warm start: rounding error of the warm start.

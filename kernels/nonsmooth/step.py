@@ -13,7 +13,7 @@ from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.joints import bodies
 from warpcontact.kernels.joints.bodies import (
     advance_velocity,
-    arm_of,
+    anchor_arm,
     hinge_inertia,
     inertia_about,
     inertia_at,
@@ -42,10 +42,10 @@ from warpcontact.kernels.types import (
 
 
 @functools.cache
-def half_step(real: type, moves: bool) -> wp.Kernel:
+def half_step(real: type, has_joints: bool) -> wp.Kernel:
     """Returns the kernel that advances bodies by half a step with the velocities before it; items: bodies.
 
-    The angular velocity at the half step has the same angular momentum. With ``moves`` some bodies have joints.
+    The angular velocity at the half step has the same angular momentum. With ``has_joints`` some bodies have joints.
     Bodies with prescribed motion (TIME_FUNCTION) are skipped; the kernels of ``joints/driven.py`` set their
     pose. The thread of the first body also clears the rows of its environment and resets the restitution factor to
     1.
@@ -53,10 +53,11 @@ def half_step(real: type, moves: bool) -> wp.Kernel:
     t = structs(real)
     Model, State = t.Model, t.State
     SolveResult, RestitutionLimit = row_structs(real).SolveResult, record_structs(real).RestitutionLimit
-    rotated = rotations.functions(real).rotated
+    rotation_functions = rotations.functions(real)
+    rotated, spin = rotation_functions.rotated, rotation_functions.spin
     f = bodies.functions(real)
-    wide, matrix_to_float64, quat_to_float64 = f.wide, f.matrix_to_float64, f.quat_to_float64
-    moved, put, set_velocity = f.moved, f.put, f.set_velocity
+    to_float64, matrix_to_float64, quat_to_float64 = f.to_float64, f.matrix_to_float64, f.quat_to_float64
+    pose_after_step, set_position, set_velocity = f.pose_after_step, f.set_position, f.set_velocity
 
     @unique_kernel()
     def advance_half_step(
@@ -82,17 +83,19 @@ def half_step(real: type, moves: bool) -> wp.Kernel:
             v_W = state_in.body_linear_velocity[env, body]
             w_W = state_in.body_angular_velocity[env, body]
             half = real(0.5) * step[env, 0]
-            if wp.static(moves):
+            if wp.static(has_joints):
                 motion = model.body_motion[env, body]
                 if motion.kind != FREE:
                     if motion.kind == TIME_FUNCTION:
                         continue
-                    v = wide(v_W)
-                    w = wide(w_W)
-                    base, displacement, orientation = moved(state_in, env, body, motion, v, w, wp.float64(half))
+                    v = to_float64(v_W)
+                    w = to_float64(w_W)
+                    base, displacement, orientation = pose_after_step(
+                        state_in, env, body, motion, v, w, wp.float64(half)
+                    )
                     if motion.kind == BALL:
                         q = quat_to_float64(state_in.body_orientation[env, body])
-                        arm_B = wp.quat_rotate_inv(q, arm_of(motion, q))
+                        arm_B = wp.quat_rotate_inv(q, anchor_arm(motion, q))
                         mass = wp.float64(model.body_mass[env, body])
                         anchor_inertia_B = inertia_at(
                             matrix_to_float64(model.body_inertia[env, body]), mass, arm_B
@@ -104,7 +107,7 @@ def half_step(real: type, moves: bool) -> wp.Kernel:
                         )
                     if motion.kind == HINGE or motion.kind == BALL:
                         v = wp.cross(w, displacement)
-                    put(state_out, env, body, base, displacement)
+                    set_position(state_out, env, body, base, displacement)
                     state_out.body_orientation[env, body] = orientation
                     set_velocity(state_out, env, body, v, w)
                     continue
@@ -119,9 +122,8 @@ def half_step(real: type, moves: bool) -> wp.Kernel:
             q_WB = state_in.body_orientation[env, body]
             orientation_W = rotated(q_WB, half * w_W)
             if not model.body_isotropic_inertia[env, body]:
-                last_momentum_B = model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W)
-                momentum_B = wp.quat_rotate_inv(orientation_W, wp.quat_rotate(q_WB, last_momentum_B))
-                w_W = wp.quat_rotate(orientation_W, model.body_inverse_inertia[env, body] * momentum_B)
+                momentum_W = wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
+                w_W = spin(model.body_inverse_inertia[env, body], orientation_W, momentum_W)
             state_out.body_orientation[env, body] = orientation_W
             state_out.body_linear_velocity[env, body] = v_W
             state_out.body_angular_velocity[env, body] = w_W
@@ -130,16 +132,21 @@ def half_step(real: type, moves: bool) -> wp.Kernel:
 
 
 @functools.cache
-def free_velocities(real: type, moves: bool) -> wp.Kernel:
+def free_velocities(real: type, has_joints: bool) -> wp.Kernel:
     """Returns the kernel of the velocities without contact and of the response to impulses; items: bodies.
 
-    With ``moves`` some bodies have joints; ``state_out`` holds the velocities of those with prescribed motion.
+    With ``has_joints`` some bodies have joints; ``state_out`` holds the velocities of those with prescribed motion.
     """
     t = structs(real)
     vec3, mat33, Model, State, Wrenches = t.vec3, t.mat33, t.Model, t.State, t.Wrenches
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, has_joints))
     f = bodies.functions(real)
-    wide, narrow, matrix_to_float64, quat_to_float64 = f.wide, f.narrow, f.matrix_to_float64, f.quat_to_float64
+    to_float64, from_float64, matrix_to_float64, quat_to_float64 = (
+        f.to_float64,
+        f.from_float64,
+        f.matrix_to_float64,
+        f.quat_to_float64,
+    )
 
     @wp.func
     def narrow_matrix(m: wp.mat33d):
@@ -165,19 +172,19 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
         kind = motion.kind
         axis = motion.axis
         mass = wp.float64(model.body_mass[env, body])
-        force = wide(wrenches.force[env, body]) + mass * wide(model.gravity[env, 0])
-        torque = wide(wrenches.torque[env, body])
+        force = to_float64(wrenches.force[env, body]) + mass * to_float64(model.gravity[env, 0])
+        torque = to_float64(wrenches.torque[env, body])
         inertia_B = matrix_to_float64(model.body_inertia[env, body])
         q = quat_to_float64(half_step_state.body_orientation[env, body])
-        v = wide(state_in.body_linear_velocity[env, body])
-        w = wide(state_in.body_angular_velocity[env, body])
+        v = to_float64(state_in.body_linear_velocity[env, body])
+        w = to_float64(state_in.body_angular_velocity[env, body])
         linear, angular = advance_velocity(motion, mass, inertia_B, q, v, w, force, torque, dt)
         inverse_mass_matrix = wp.mat33d()
         inverse_mass_coupling = wp.mat33d()
         inverse_inertia = wp.mat33d()
         if kind == TIME_FUNCTION:
-            linear = wide(state_out.body_linear_velocity[env, body])
-            angular = wide(state_out.body_angular_velocity[env, body])
+            linear = to_float64(state_out.body_linear_velocity[env, body])
+            angular = to_float64(state_out.body_angular_velocity[env, body])
         elif kind == TRANSLATION:
             inverse_mass_matrix = wp.identity(n=3, dtype=wp.float64) / mass
         elif kind == SLIDER:
@@ -192,7 +199,7 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
             inverse_mass_coupling = wp.outer(lever, axis) / inertia
             inverse_inertia = wp.outer(axis, axis) / inertia
         elif kind == BALL:
-            arm = arm_of(motion, q)
+            arm = anchor_arm(motion, q)
             anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
             inverse_B = wp.inverse(anchor_inertia_B)
             q_in = quat_to_float64(state_in.body_orientation[env, body])
@@ -204,8 +211,8 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
             across = wp.skew(arm)
             inverse_mass_coupling = -(across * inverse_inertia)
             inverse_mass_matrix = inverse_mass_coupling * across
-        body_response[env, body].linear = narrow(linear)
-        body_response[env, body].angular = narrow(angular)
+        body_response[env, body].linear = from_float64(linear)
+        body_response[env, body].angular = from_float64(angular)
         body_response[env, body].inverse_mass_matrix = narrow_matrix(inverse_mass_matrix)
         body_response[env, body].inverse_mass_coupling = narrow_matrix(inverse_mass_coupling)
         body_response[env, body].inverse_inertia = narrow_matrix(inverse_inertia)
@@ -228,7 +235,7 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
             if status[env] != ENV_ACTIVE:
                 continue
             dt = step[env, 0]
-            if wp.static(moves):
+            if wp.static(has_joints):
                 if model.body_motion[env, body].kind != FREE:
                     free_constrained(
                         model,
@@ -258,7 +265,7 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
                 w_middle = half_step_state.body_angular_velocity[env, body]
                 body_response[env, body].angular = w_middle + inverse_inertia * (dt * wrenches.torque[env, body])
             body_response[env, body].inverse_inertia = inverse_inertia
-            if wp.static(moves):
+            if wp.static(has_joints):
                 body_response[env, body].inverse_mass_matrix = inverse_mass * wp.identity(n=3, dtype=real)
                 body_response[env, body].inverse_mass_coupling = mat33()
             else:
@@ -270,19 +277,25 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
 
 
 @functools.cache
-def full_step(real: type, moves: bool) -> wp.Kernel:
+def full_step(real: type, has_joints: bool) -> wp.Kernel:
     """Returns the kernel that advances each body over the step with the velocities after contact; items: bodies.
 
-    Positions advance with θ times the velocities after contact plus 1 − θ times those before. With ``moves`` some
+    Positions advance with θ times the velocities after contact plus 1 − θ times those before. With ``has_joints`` some
     bodies have joints; those with prescribed motion are only checked.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
-    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
-    rotated = rotations.functions(real).rotated
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, has_joints))
+    rotation_functions = rotations.functions(real)
+    rotated, spin = rotation_functions.rotated, rotation_functions.spin
     f = bodies.functions(real)
-    wide, matrix_to_float64, quat_to_float64, moved = f.wide, f.matrix_to_float64, f.quat_to_float64, f.moved
-    put, set_velocity, check_body = f.put, f.set_velocity, f.check_body
+    to_float64, matrix_to_float64, quat_to_float64, pose_after_step = (
+        f.to_float64,
+        f.matrix_to_float64,
+        f.quat_to_float64,
+        f.pose_after_step,
+    )
+    set_position, set_velocity, check_body = f.set_position, f.set_velocity, f.check_body
     of_guard = accept_step.guard(real)
     Guard, failure_cause = of_guard.Guard, of_guard.failure_cause
 
@@ -300,26 +313,26 @@ def full_step(real: type, moves: bool) -> wp.Kernel:
     ):
         motion = model.body_motion[env, body]
         complement = wp.float64(1.0) - theta
-        v = wide(body_response[env, body].linear)
-        w = wide(body_response[env, body].angular)
-        w_before = wide(half_step_state.body_angular_velocity[env, body])
-        linear = theta * v + complement * wide(state_in.body_linear_velocity[env, body])
+        v = to_float64(body_response[env, body].linear)
+        w = to_float64(body_response[env, body].angular)
+        w_before = to_float64(half_step_state.body_angular_velocity[env, body])
+        linear = theta * v + complement * to_float64(state_in.body_linear_velocity[env, body])
         anchor_inertia_B = wp.mat33d()
         momentum = wp.vec3d()
         if motion.kind == BALL:
             q = quat_to_float64(state_in.body_orientation[env, body])
             q_middle = quat_to_float64(half_step_state.body_orientation[env, body])
-            arm_B = wp.quat_rotate_inv(q, arm_of(motion, q))
+            arm_B = wp.quat_rotate_inv(q, anchor_arm(motion, q))
             inertia_B = matrix_to_float64(model.body_inertia[env, body])
             anchor_inertia_B = inertia_at(inertia_B, wp.float64(model.body_mass[env, body]), arm_B)
             momentum = momentum_of(anchor_inertia_B, q_middle, w)
         angular = theta * w + complement * w_before
-        base, displacement, orientation = moved(state_in, env, body, motion, linear, angular, dt)
+        base, displacement, orientation = pose_after_step(state_in, env, body, motion, linear, angular, dt)
         if motion.kind == BALL:
             w = spin_of(wp.inverse(anchor_inertia_B), quat_to_float64(orientation), momentum)
         if motion.kind == HINGE or motion.kind == BALL:
             v = wp.cross(w, displacement)
-        put(state_out, env, body, base, displacement)
+        set_position(state_out, env, body, base, displacement)
         state_out.body_orientation[env, body] = orientation
         set_velocity(state_out, env, body, v, w)
 
@@ -343,7 +356,7 @@ def full_step(real: type, moves: bool) -> wp.Kernel:
             if status[env] != ENV_ACTIVE:
                 continue
             dt = step[env, 0]
-            if wp.static(moves):
+            if wp.static(has_joints):
                 kind = model.body_motion[env, body].kind
                 if kind != FREE:
                     if kind != TIME_FUNCTION:
@@ -380,9 +393,9 @@ def full_step(real: type, moves: bool) -> wp.Kernel:
                     orientation = rotated(q_WB, rotation)
                 # Use the change of angular velocity: rounding of the quaternion norm scales rotated vectors, which
                 # cancels in a difference and would otherwise accumulate.
-                spin_before = wp.quat_rotate(q_WB, inverse_B * wp.quat_rotate_inv(q_WB, momentum))
+                spin_before = spin(inverse_B, q_WB, momentum)
                 momentum += wp.quat_rotate(q_middle, momentum_change_B)
-                spin_after = wp.quat_rotate(orientation, inverse_B * wp.quat_rotate_inv(orientation, momentum))
+                spin_after = spin(inverse_B, orientation, momentum)
                 if wp.length_sq(angular_velocity) > real(0.0):
                     angular_velocity = w_W + (spin_after - spin_before)
             state_out.body_position[env, body] = position

@@ -37,11 +37,11 @@ class Functions(NamedTuple):
 
 
 @functools.cache
-def functions(real: type, moves: bool) -> Functions:
-    """Returns the device functions for ``real``; with ``moves`` some bodies have joints."""
+def functions(real: type, has_joints: bool) -> Functions:
+    """Returns the device functions for ``real``; with ``has_joints`` some bodies have joints."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33
-    Rows, _, BodyResponse, VelocityChange = solve_types(real, moves)
+    Rows, _, BodyResponse, VelocityChange = solve_types(real, has_joints)
     zero, one, two, three = (wp.constant(real(x)) for x in (0.0, 1.0, 2.0, 3.0))
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
     # A block with a smaller determinant, relative to the cube of a third of its trace, counts as singular.
@@ -76,7 +76,7 @@ def functions(real: type, moves: bool) -> Functions:
         """Adds the response of a body to an impulse and an angular impulse about its center of mass."""
         if body < 0:
             return
-        if wp.static(moves):
+        if wp.static(has_joints):
             B = body_response[env, body].inverse_mass_coupling
             linear = body_response[env, body].inverse_mass_matrix * impulse + B * turning
             angular = wp.transpose(B) * impulse + body_response[env, body].inverse_inertia * turning
@@ -140,7 +140,7 @@ def functions(real: type, moves: bool) -> Functions:
             return zero
         C = body_response[env, body].inverse_inertia
         trace = (C[0, 0] + C[1, 1] + C[2, 2]) * wp.length_sq(arm) - wp.dot(arm, C * arm)
-        if wp.static(moves):
+        if wp.static(has_joints):
             A = body_response[env, body].inverse_mass_matrix
             B = body_response[env, body].inverse_mass_coupling
             trace += A[0, 0] + A[1, 1] + A[2, 2]
@@ -168,7 +168,7 @@ def functions(real: type, moves: bool) -> Functions:
             return vec3()
         turning = wp.cross(arm, impulse)
         spin = body_response[env, body].inverse_inertia * turning
-        if wp.static(moves):
+        if wp.static(has_joints):
             B = body_response[env, body].inverse_mass_coupling
             linear = body_response[env, body].inverse_mass_matrix * impulse + B * turning
             spin += wp.transpose(B) * impulse
@@ -184,7 +184,7 @@ def functions(real: type, moves: bool) -> Functions:
         cross = wp.skew(arm)
         C = body_response[env, body].inverse_inertia
         result = -(cross * C * cross)
-        if wp.static(moves):
+        if wp.static(has_joints):
             across = body_response[env, body].inverse_mass_coupling * cross
             result += body_response[env, body].inverse_mass_matrix + across + wp.transpose(across)
         else:
@@ -333,14 +333,14 @@ class RelativeVelocities(NamedTuple):
 
 
 @functools.cache
-def relative_velocities(real: type, moves: bool) -> RelativeVelocities:
+def relative_velocities(real: type, has_joints: bool) -> RelativeVelocities:
     """Returns the device functions for ``real``; all give the first body relative to the second.
 
-    With ``moves`` some bodies have joints.
+    With ``has_joints`` some bodies have joints.
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
-    BodyResponse = solve_types(real, moves).BodyResponse
+    BodyResponse = solve_types(real, has_joints).BodyResponse
     velocity_at = frames.functions(real).velocity_at
 
     @wp.func

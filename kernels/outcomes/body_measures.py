@@ -42,7 +42,7 @@ class Points:
 class _Functions(NamedTuple):
     """Device functions of the motion of a body."""
 
-    wide: wp.Function  # vector in float64
+    to_float64: wp.Function  # vector in float64
     position: wp.Function  # center of mass, W, float64 [m]
     spin: wp.Function  # angular momentum about the center of mass, W [kg·m²/s]
 
@@ -52,12 +52,12 @@ def _functions(real: type) -> _Functions:
     """Returns the device functions for position and angular momentum of a body."""
     t = structs(real)
     Model, State = t.Model, t.State
-    wide = frames.functions(real).wide
+    to_float64 = frames.functions(real).to_float64
 
     @wp.func
     def position(state: State, env: int, body: int):
         """Returns the center of mass of a body, W [m]."""
-        return wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
+        return to_float64(state.body_position[env, body]) + to_float64(state.body_position_remainder[env, body])
 
     @wp.func
     def spin(model: Model, state: State, env: int, body: int):
@@ -66,7 +66,7 @@ def _functions(real: type) -> _Functions:
         w_W = state.body_angular_velocity[env, body]
         return wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
 
-    return _Functions(wide=wide, position=position, spin=spin)
+    return _Functions(to_float64=to_float64, position=position, spin=spin)
 
 
 @functools.cache
@@ -93,7 +93,7 @@ def positions(real: type) -> wp.Kernel:
 def energies(real: type) -> wp.Kernel:
     """Returns the kernel that computes body energies in active environments; items: bodies."""
     t, f = structs(real), _functions(real)
-    Model, State, wide, position = t.Model, t.State, f.wide, f.position
+    Model, State, to_float64, position = t.Model, t.State, f.to_float64, f.position
 
     @unique_kernel()
     def measure_energies(
@@ -105,12 +105,12 @@ def energies(real: type) -> wp.Kernel:
             if status[env] != ENV_ACTIVE:
                 continue
             mass = wp.float64(model.body_mass[env, body])
-            v_W = wide(state.body_linear_velocity[env, body])
+            v_W = to_float64(state.body_linear_velocity[env, body])
             w_B = wp.quat_rotate_inv(state.body_orientation[env, body], state.body_angular_velocity[env, body])
-            turning = wp.dot(wide(w_B), wide(model.body_inertia[env, body] * w_B))
+            turning = wp.dot(to_float64(w_B), to_float64(model.body_inertia[env, body] * w_B))
             measured.kinetic_energy[env, body] = wp.float64(0.5) * (mass * wp.dot(v_W, v_W) + turning)
             measured.potential_energy[env, body] = -mass * wp.dot(
-                wide(model.gravity[env, 0]), position(state, env, body)
+                to_float64(model.gravity[env, 0]), position(state, env, body)
             )
 
     return measure_energies
@@ -120,7 +120,7 @@ def energies(real: type) -> wp.Kernel:
 def momenta(real: type) -> wp.Kernel:
     """Returns the kernel that computes body momenta in active environments; items: bodies."""
     t, f = structs(real), _functions(real)
-    Model, State, wide, position, spin = t.Model, t.State, f.wide, f.position, f.spin
+    Model, State, to_float64, position, spin = t.Model, t.State, f.to_float64, f.position, f.spin
 
     @unique_kernel()
     def measure_momenta(
@@ -131,8 +131,8 @@ def momenta(real: type) -> wp.Kernel:
             body = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            mv_W = wp.float64(model.body_mass[env, body]) * wide(state.body_linear_velocity[env, body])
-            spin_W = wide(spin(model, state, env, body))
+            mv_W = wp.float64(model.body_mass[env, body]) * to_float64(state.body_linear_velocity[env, body])
+            spin_W = to_float64(spin(model, state, env, body))
             measured.linear_momentum[env, body] = mv_W
             measured.angular_momentum[env, body] = wp.cross(position(state, env, body), mv_W) + spin_W
 
@@ -152,7 +152,7 @@ def points(real: type) -> wp.Kernel:
     """Returns the kernel that computes contact points K in active environments; items: contacts."""
     t = structs(real)
     Model, State, Contacts = t.Model, t.State, t.Contacts
-    wide = frames.functions(real).wide
+    to_float64 = frames.functions(real).to_float64
 
     @unique_kernel()
     def measure_points(
@@ -170,9 +170,11 @@ def points(real: type) -> wp.Kernel:
                 continue
             point = model.contact_point[contact]
             body = model.point_body[point]
-            origin_W = wide(model.point_anchor[env, point])
+            origin_W = to_float64(model.point_anchor[env, point])
             if body >= 0:
-                origin_W = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
-            measured.position[env, contact] = origin_W + wide(contacts.arm[env, contact])
+                origin_W = to_float64(state.body_position[env, body]) + to_float64(
+                    state.body_position_remainder[env, body]
+                )
+            measured.position[env, contact] = origin_W + to_float64(contacts.arm[env, contact])
 
     return measure_points

@@ -63,7 +63,7 @@ def particle_structs(real: type) -> ParticleStructs:
         max_depth: real  # deepest penetration that still counts as contact [m]
         torsion_radius: real  # arm at which torsion acts [m]; < 0: radius of the overlap
         force_scale: real  # factor on forces and couples [-]
-        closed: real  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
+        contact_tolerance: real  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
         skin: real  # particles with a smaller gap are neighbors [m]
         cell: real  # edge of a cell, at least the largest center distance of neighbors [m]
         enabled: wp.int32  # 0 or 1

@@ -58,7 +58,7 @@ def kernel(
     parts: ContactModel,
     traits: ParticleTraits,
     real: type,
-    moves: bool,
+    has_joints: bool,
     single_thread: bool,
     nonsmooth: bool = False,
 ) -> wp.Kernel:
@@ -68,7 +68,7 @@ def kernel(
         parts: Classes of law and friction models.
         traits: Properties of the particles.
         real: Precision.
-        moves: Whether the effective mass accounts for joints of bodies.
+        has_joints: Whether the effective mass accounts for joints of bodies.
         single_thread: Whether one thread processes all particles of an environment in order. It then adds forces
             to the wrenches itself; otherwise ``sums.add`` does.
         nonsmooth: Whether contacts are only located, without forces. Contacts of the last step that have opened
@@ -79,7 +79,7 @@ def kernel(
     p = particle_structs(real)
     Coefficients, Memory = group_structs(parts, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
-    evaluate_contact = contact_evaluation.functions(parts, real, moves).evaluate_contact
+    evaluate_contact = contact_evaluation.functions(parts, real, has_joints).evaluate_contact
     start_memory = _start_memory(parts, real)
     geometry = particle_geometry.functions(traits, real)
     AxisPoint, ClosestApproach, axis_point, closest_approach = (
@@ -256,7 +256,7 @@ def kernel(
                     reach = radius + radius_2
                     contact_distance = reach
                     if wp.static(nonsmooth):
-                        contact_distance = reach + settings.closed
+                        contact_distance = reach + settings.contact_tolerance
                     axis_point_2 = axis_point(particles, state, env, neighbor)
                     may_touch = wp.bool(True)
                     if wp.static(has_capsules):

@@ -105,7 +105,7 @@ def fill(traits: ParticleTraits, real: type) -> wp.Kernel:
     State = t.State
     p = particle_structs(real)
     axis_point = particle_geometry.functions(traits, real).axis_point
-    wide = frames.functions(real).wide
+    to_float64 = frames.functions(real).to_float64
     has_capsules = traits.has_capsules
 
     @wp.func
@@ -131,7 +131,7 @@ def fill(traits: ParticleTraits, real: type) -> wp.Kernel:
             cell_list.offset_from_origin[env, particle] = point.offset
             if wp.static(has_capsules):
                 cell_list.axis[env, particle] = point.axis
-            position = wide(point.origin) + wide(point.offset)
+            position = to_float64(point.origin) + to_float64(point.offset)
             size = wp.float64(particles.settings[env, 0].cell)
             cell = wp.vec3i(
                 cell_along(position[0], size), cell_along(position[1], size), cell_along(position[2], size)

@@ -77,7 +77,7 @@ def functions(traits: ParticleTraits, real: type) -> Functions:
     t = structs(real)
     vec3, State = t.vec3, t.State
     Particles = particle_structs(real).Particles
-    wide, narrow = frames.functions(real).wide, frames.functions(real).narrow
+    to_float64, from_float64 = frames.functions(real).to_float64, frames.functions(real).from_float64
     has_offsets, has_capsules = traits.has_offsets, traits.has_capsules
 
     @wp.struct
@@ -113,13 +113,13 @@ def functions(traits: ParticleTraits, real: type) -> Functions:
         pair = ClosestApproach()
         pair.separation = (first.origin - second.origin) + (first.offset - second.offset)
         if wp.static(has_capsules):
-            d = wide(pair.separation)
-            g = wide(first.axis)
-            h = wide(second.axis)
+            d = to_float64(pair.separation)
+            g = to_float64(first.axis)
+            h = to_float64(second.axis)
             s, t = closest_on_segments(d, g, h)
             pair.s = real(s)
             pair.t = real(t)
-            pair.separation = narrow(d + s * g - t * h)
+            pair.separation = from_float64(d + s * g - t * h)
         return pair
 
     @wp.func

@@ -38,17 +38,17 @@ def uses_curvature(parts: ContactModel) -> bool:
 
 
 @functools.cache
-def contact_forces(parts: ContactModel, real: type, moves: bool = False) -> wp.Kernel:
+def contact_forces(parts: ContactModel, real: type, has_joints: bool = False) -> wp.Kernel:
     """Returns the force kernel for the classes of ``parts``; items: contacts of the group, consecutive.
 
-    With ``moves``, the effective mass accounts for the joints of bodies.
+    With ``has_joints``, the effective mass accounts for the joints of bodies.
     """
     t = structs(real)
     vec3, quat, Model, State, CouplingWrenches = t.vec3, t.quat, t.Model, t.State, t.CouplingWrenches
     ShapeContacts = shape_contact_structs(real).ShapeContacts
     Coefficients, Memory = group_structs(parts, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
-    evaluate_contact, clear_history = contact_evaluation.functions(parts, real, moves)
+    evaluate_contact, clear_history = contact_evaluation.functions(parts, real, has_joints)
     needs_curvature, oriented = uses_curvature(parts), parts.needs_surface_axes
 
     @unique_kernel()

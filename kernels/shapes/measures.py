@@ -75,7 +75,7 @@ def points(real: type) -> wp.Kernel:
     """Returns the kernel that computes contact points. Launch with dim (env, contact of the range)."""
     t = structs(real)
     State, ShapeContacts = t.State, shape_contact_structs(real).ShapeContacts
-    wide = frames.functions(real).wide
+    to_float64 = frames.functions(real).to_float64
 
     @unique_kernel()
     def compute_contact_points(
@@ -92,9 +92,11 @@ def points(real: type) -> wp.Kernel:
         body = contact_shapes.body_b[contact]
         origin = shape_poses_b[env, contact_shapes.shape_b[contact]].position
         if body >= 0:
-            origin = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
-        point = origin + wide(shape_contacts.arm_b[env, contact])
-        gap_vector = wp.float64(shape_contacts.gap[env, contact]) * wide(shape_contacts.normal[env, contact])
+            origin = to_float64(state.body_position[env, body]) + to_float64(
+                state.body_position_remainder[env, body]
+            )
+        point = origin + to_float64(shape_contacts.arm_b[env, contact])
+        gap_vector = wp.float64(shape_contacts.gap[env, contact]) * to_float64(shape_contacts.normal[env, contact])
         if shape_contacts.status[env, contact] == DISABLED:
             point = wp.vec3d(wp.nan, wp.nan, wp.nan)
         kappa = settings[env, contact].kappa

@@ -57,7 +57,7 @@ class RelativePose:
 def pose_function(real: type) -> wp.Function:
     """Returns the device function of the ``RelativePose`` of two shapes, for states of precision ``real``."""
     State = structs(real).State
-    wide = frames.functions(real).wide
+    to_float64 = frames.functions(real).to_float64
 
     @wp.func
     def body_rotation(state: State, env: int, body: int):
@@ -83,13 +83,13 @@ def pose_function(real: type) -> wp.Function:
         remainder = vec3d()
         if body_a >= 0:
             offset_a = wp.quat_rotate(body_rotation(state, env, body_a), shape_pose_a.position)
-            carrier_a = wide(state.body_position[env, body_a])
-            remainder = wide(state.body_position_remainder[env, body_a])
+            carrier_a = to_float64(state.body_position[env, body_a])
+            remainder = to_float64(state.body_position_remainder[env, body_a])
         carrier_b = shape_pose_b.position
         if body_b >= 0:
             found.offset = wp.quat_rotate(body_rotation(state, env, body_b), shape_pose_b.position)
-            carrier_b = wide(state.body_position[env, body_b])
-            remainder -= wide(state.body_position_remainder[env, body_b])
+            carrier_b = to_float64(state.body_position[env, body_b])
+            remainder -= to_float64(state.body_position_remainder[env, body_b])
         found.body_offset = (carrier_a - carrier_b) + remainder
         found.x = wp.quat_rotate_inv(found.q_W, found.body_offset + (offset_a - found.offset))
         return found
@@ -245,7 +245,7 @@ def kernel(
     if needs_curvature:
         curvature_of = curvature_functions(kind_a, kind_b)
         curvature, radius_of = curvature_of.curvature, curvature_of.radius
-    narrow = frames.functions(real).narrow
+    from_float64 = frames.functions(real).from_float64
     quat = t.quat
 
     @unique_kernel()
@@ -285,7 +285,7 @@ def kernel(
                 contact_status = UNSOLVED
             elif contact_point.status == OUTSIDE:
                 contact_status = INACTIVE
-            elif contact_point.gap < setting.closed:
+            elif contact_point.gap < setting.contact_tolerance:
                 contact_status = CONTACT
                 if -contact_point.gap > setting.max_depth:
                     contact_status = WRONG_SIDE
@@ -294,9 +294,9 @@ def kernel(
             to_contact = contact_point.point_b + setting.kappa * (contact_point.point_a - contact_point.point_b)
             arm_b = pose.offset + wp.quat_rotate(pose.q_W, to_contact)
             shape_contacts.gap[env, contact] = real(contact_point.gap)
-            shape_contacts.normal[env, contact] = narrow(wp.quat_rotate(pose.q_W, contact_point.normal))
-            shape_contacts.arm_a[env, contact] = narrow(arm_b - pose.body_offset)
-            shape_contacts.arm_b[env, contact] = narrow(arm_b)
+            shape_contacts.normal[env, contact] = from_float64(wp.quat_rotate(pose.q_W, contact_point.normal))
+            shape_contacts.arm_a[env, contact] = from_float64(arm_b - pose.body_offset)
+            shape_contacts.arm_b[env, contact] = from_float64(arm_b)
             shape_contacts.status[env, contact] = contact_status
             shape_contacts.converged[env, contact] = wp.where(contact_point.status == NOT_CONVERGED, 0, 1)
             shape_contacts.iterations[env, contact] = contact_point.iterations

@@ -116,11 +116,11 @@ def capsule_pair(A: type[Shape], B: type[Shape]) -> wp.Function:
         s = wp.clamp(t * cosine - wp.dot(x, axis), -p_a.half_length, p_a.half_length)
         foot_a = x + s * axis
         foot_b = t * up
-        off = foot_a - foot_b
-        distance = wp.length(off)
+        separation = foot_a - foot_b
+        distance = wp.length(separation)
         n = wp.cross(axis, up)
         if distance > AXIS_TOLERANCE * (p_a.half_length + p_b.half_length):
-            n = off / distance
+            n = separation / distance
         elif sine_2 > AXIS_TOLERANCE:
             # The axes cross: separate along the normal of both.
             n = wp.normalize(n)

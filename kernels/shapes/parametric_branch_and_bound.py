@@ -197,11 +197,11 @@ def global_search(
         return wp.abs(difference)
 
     @wp.func
-    def widened(width: real, off: real, fine: real):
-        """Returns the half width of a basin, enlarged by a start at distance ``off`` that led to its minimum."""
-        if off <= width:
+    def widened(width: real, distance: real, fine: real):
+        """Returns the half width of a basin, enlarged by a start at distance ``distance`` that led to its minimum."""
+        if distance <= width:
             return width
-        return wp.min(off + half * fine, two * wp.max(width, START_RADIUS * fine))
+        return wp.min(distance + half * fine, two * wp.max(width, START_RADIUS * fine))
 
     @wp.func
     def start_refinement(
@@ -214,11 +214,11 @@ def global_search(
         lower = closest.gap < search.best.closest.gap - TIE * wp.abs(search.best.closest.gap)
         for k in range(MAX_MINIMA):
             if k < search.count and not lower:
-                off_u = periodic_distance(search.minimum_u[k] - u[0], period_u, closed_u)
-                off_v = periodic_distance(search.minimum_v[k] - u[1], period_v, closed_v)
+                distance_u = periodic_distance(search.minimum_u[k] - u[0], period_u, closed_u)
+                distance_v = periodic_distance(search.minimum_v[k] - u[1], period_v, closed_v)
                 basin_u = wp.where(same_side, search.basin_u[k], search.other_basin_u[k])
                 basin_v = wp.where(same_side, search.basin_v[k], search.other_basin_v[k])
-                if off_u <= basin_u and off_v <= basin_v:
+                if distance_u <= basin_u and distance_v <= basin_v:
                     is_new = wp.bool(False)
         if is_new and search.starts >= MAX_STARTS:
             if search.starts == MAX_STARTS or closest.gap < search.skipped_distance:
@@ -235,9 +235,9 @@ def global_search(
             same = wp.int32(-1)
             for k in range(MAX_MINIMA):
                 if k < search.count:
-                    off_u = periodic_distance(search.minimum_u[k] - now.u[0], period_u, closed_u)
-                    off_v = periodic_distance(search.minimum_v[k] - now.u[1], period_v, closed_v)
-                    if off_u <= START_RADIUS * fine_u and off_v <= START_RADIUS * fine_v:
+                    distance_u = periodic_distance(search.minimum_u[k] - now.u[0], period_u, closed_u)
+                    distance_v = periodic_distance(search.minimum_v[k] - now.u[1], period_v, closed_v)
+                    if distance_u <= START_RADIUS * fine_u and distance_v <= START_RADIUS * fine_v:
                         same = k
             if same < 0:
                 same = search.count % MAX_MINIMA
@@ -250,14 +250,14 @@ def global_search(
                 search.other_basin_v[same] = real(-1.0)
                 search.count += 1
             else:
-                off_u = periodic_distance(search.minimum_u[same] - u[0], period_u, closed_u)
-                off_v = periodic_distance(search.minimum_v[same] - u[1], period_v, closed_v)
+                distance_u = periodic_distance(search.minimum_u[same] - u[0], period_u, closed_u)
+                distance_v = periodic_distance(search.minimum_v[same] - u[1], period_v, closed_v)
                 if same_side:
-                    search.basin_u[same] = widened(search.basin_u[same], off_u, fine_u)
-                    search.basin_v[same] = widened(search.basin_v[same], off_v, fine_v)
+                    search.basin_u[same] = widened(search.basin_u[same], distance_u, fine_u)
+                    search.basin_v[same] = widened(search.basin_v[same], distance_v, fine_v)
                 else:
-                    search.other_basin_u[same] = widened(search.other_basin_u[same], off_u, fine_u)
-                    search.other_basin_v[same] = widened(search.other_basin_v[same], off_v, fine_v)
+                    search.other_basin_u[same] = widened(search.other_basin_u[same], distance_u, fine_u)
+                    search.other_basin_v[same] = widened(search.other_basin_v[same], distance_v, fine_v)
         return search
 
     @wp.func

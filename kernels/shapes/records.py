@@ -35,7 +35,7 @@ class ShapeContactSettings:
     max_depth: wp.float64  # deepest penetration that still counts as contact [m]
     torsion_radius: wp.float64  # arm at which torsion acts [m]; < 0: radius of the overlap
     force_scale: wp.float64  # factor on forces and couples [-]
-    closed: wp.float64  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
+    contact_tolerance: wp.float64  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
     enabled: wp.int32  # 0 or 1
 
 

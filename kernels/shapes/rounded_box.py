@@ -81,10 +81,10 @@ class RoundedBox(Shape):
         foot = wp.vec3d(
             wp.clamp(x[0], -core[0], core[0]), wp.clamp(x[1], -core[1], core[1]), wp.clamp(x[2], -core[2], core[2])
         )
-        off = x - foot
-        distance = wp.length(off)
+        offset = x - foot
+        distance = wp.length(offset)
         if distance > zero:
-            found.normal = off / distance
+            found.normal = offset / distance
             found.gap = distance - p.radius
             found.point = foot + p.radius * found.normal
             return found

@@ -71,9 +71,9 @@ def zonotope_projection(count: int) -> wp.Function:
                     ratio = target_height / height
                     facing_edge = i
                 t = wp.clamp(wp.dot(r - middle, reach) / wp.length_sq(reach), -one, one)
-                off = wp.length_sq(r - middle - t * reach)
-                if off < nearest:
-                    nearest = off
+                distance_squared = wp.length_sq(r - middle - t * reach)
+                if distance_squared < nearest:
+                    nearest = distance_squared
                     best = i
         is_inside = inside and largest_width > PARALLEL
         scale = one

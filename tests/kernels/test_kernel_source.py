@@ -130,7 +130,7 @@ def find_factories():
         for key, value in vars(module).items():
             if isinstance(value, functools._lru_cache_wrapper) and value.__module__ == name:
                 names = value.__wrapped__.__code__.co_varnames[: value.__wrapped__.__code__.co_argcount]
-                if names[:1] != ("real",) or not {"moves", "rolls"}.issuperset(names[1:]):
+                if names[:1] != ("real",) or not {"has_joints", "rolls"}.issuperset(names[1:]):
                     continue
                 for switches in itertools.product((False, True), repeat=len(names) - 1):
                     yield f"{name}.{key}", value, switches

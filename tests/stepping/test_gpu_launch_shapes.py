@@ -340,10 +340,10 @@ def history_of(sim):
     model = sim.model
     history = model.arrays.history
     found = {"entry_speed": history.entry_speed.numpy()}
-    if model.has_latched_contacts:
+    if model.tracks_faces:
         found |= {name: getattr(history, name).numpy() for name in ("armed", "face", "crossings")}
     for number, group in enumerate(model.groups):
-        for part, formula in group.parts._asdict().items():
+        for part, formula in group.contact_model._asdict().items():
             if not formula.memories:
                 continue
             values = getattr(group.history_in, part).numpy()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from warpcontact.model.scene_traits import CONTACT_NEEDS
+from warpcontact.model.model_traits import CONTACT_NEEDS
 from warpcontact.system.compilation import load_all
 from warpcontact.system.resources import available_threads
 

@@ -25,7 +25,7 @@ from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
 from warpcontact.files.run_folder import RunPath
 from warpcontact.model.environments import Environments
-from warpcontact.model.scene_traits import CONTACT_NEEDS
+from warpcontact.model.model_traits import CONTACT_NEEDS
 from warpcontact.scene.contact_coupling import OUTCOMES
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.recorder import Recorder

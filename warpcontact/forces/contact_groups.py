@@ -28,7 +28,7 @@ class ContactGroup:
     """Consecutive contacts on the device with the same contact model.
 
     Attributes:
-        parts: The classes of law and friction models.
+        contact_model: The classes of law and friction models.
         projected: Whether forces are scaled by the fraction of the area of a point that faces the surface.
         has_joints: Whether the effective mass includes the joints of bodies.
         real: Type of a real number.
@@ -43,7 +43,7 @@ class ContactGroup:
         history_out: Struct of such arrays: history variables of the current step, stored if it is accepted.
     """
 
-    parts: ContactModel
+    contact_model: ContactModel
     projected: bool
     has_joints: bool
     real: type
@@ -60,7 +60,7 @@ class ContactGroup:
     @property
     def kernel(self) -> wp.Kernel:
         """The force kernel; created on demand, because fused kernels may replace it."""
-        return contact_force.kernel(self.parts, self.real, self.has_joints, self.projected)
+        return contact_force.kernel(self.contact_model, self.real, self.has_joints, self.projected)
 
     def compile(self, device: wp.Device) -> None:
         """Compiles the force kernel if it has user-defined laws or friction models, to report errors early.
@@ -68,7 +68,7 @@ class ContactGroup:
         Raises:
             TypeError: If a law or friction model does not compile.
         """
-        compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
+        compile_force_kernel(self.contact_model, lambda: self.kernel, device, self.real)
 
     def history_of(self, part: str, name: str) -> wp.array:
         """Returns history variable ``name`` of ``part``, a view (envs, contact of the group)."""
@@ -87,7 +87,7 @@ class ContactGroup:
         """Returns (formula, history_in, history_out) of the parts with history variables."""
         return [
             (formula, getattr(self.history_in, part), getattr(self.history_out, part))
-            for part, formula in self.parts._asdict().items()
+            for part, formula in self.contact_model._asdict().items()
             if formula.memories
         ]
 

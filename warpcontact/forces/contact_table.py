@@ -24,7 +24,7 @@ from warpcontact.scene.elements import Contact
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.model_arrays import ModelArrays
-from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack
+from warpcontact.storage.parameters import ContactTolerance, DeviceField, Field, Parameter, Parameters, pack
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
 
@@ -125,7 +125,7 @@ def declare_contacts(
     meshes = upload_query_meshes(query_meshes, grids, arrays.model, layout, t)
     _declare_indices(contacts, query_meshes.first_of_contact, arrays.model, layout)
     geometry, geometry_field = _add_geometry(contacts, start_of, arrays.model, parameters, t)
-    arrays.closed = ClosedGap(geometry["closed"], geometry_field)
+    arrays.contact_tolerance = ContactTolerance(geometry["contact_tolerance"], geometry_field)
     has_joints = any(body.motion.kind != types.FREE for body in scene.bodies)
     groups = [
         make_group(group, start_of[group[0]], couplings, clusters, layout, parameters, t.real, has_joints)
@@ -177,7 +177,7 @@ def _add_geometry(
         key: Field(np.concatenate([np.zeros(0), *(values_of(contact, key) for contact in contacts)]))
         for key in _RANGES
     }
-    fields["closed"] = Field(np.zeros(sum(contact.count for contact in contacts)))
+    fields["contact_tolerance"] = Field(np.zeros(sum(contact.count for contact in contacts)))
     struct = t.ContactGeometry
     device_field = parameters.device_field(
         model, "contact_geometry", struct, lambda: pack(struct, {key: one.values for key, one in fields.items()})

@@ -72,8 +72,8 @@ class ExecutionPlan:
         uses_cache: Whether contacts that cannot touch are skipped, using cached clearances. Gap, normal and point of
             skipped contacts are then not written; steps do not need them.
         ordered_sum: Whether wrenches are summed in a fixed order instead of with atomics.
-        uses_queues: Whether contacts are distributed over threads by work queues, one thread per contact, instead of
-            one thread per cluster. Used on GPUs.
+        one_thread_per_contact: Whether a thread processes one contact at a time, as on GPUs, instead of all contacts of
+            a cluster. Without a face grid, work queues then distribute the contacts.
         nonsmooth: The nonsmooth contacts, which have impulses instead of forces. ``None``: all contacts are compliant.
         evaluated_state: State whose contacts were detected before and have not changed since. ``None``: no such state.
         write_outputs: Whether kernels write contact outputs (forces, slip) that sensors read.
@@ -87,7 +87,7 @@ class ExecutionPlan:
     count: int
     uses_cache: bool
     ordered_sum: bool
-    uses_queues: bool = False
+    one_thread_per_contact: bool = False
     nonsmooth: "NonsmoothContacts | None" = None
     evaluated_state: Any = None
     write_outputs: bool = True
@@ -209,7 +209,7 @@ def force_stages(
     launches += forces(ForceTarget.ENDS)
     sums = {"queue_count": a.cache.queue_count, "ends": a.coupling_wrenches, "wrenches": a.wrenches}
     if not ordered_sum:
-        kernel = wrenches.clear(real, *plan.other_forces)
+        kernel = wrenches.initialize_wrenches(real, *plan.other_forces)
         launches += plan.prepare(kernel, model.body_count, status=status, model=a.model, **sums)
     launches += forces(ForceTarget.CLUSTERS)
     if ordered_sum and not by_cluster:
@@ -224,18 +224,21 @@ def fused_contact_stages(
 ) -> list[wp.Launch]:
     """Returns the launches that detect the contacts of a group and compute their forces in one kernel."""
     model = plan.model
-    a, codes = model.arrays, (group.parts, model.types.real, group.has_joints, group.projected)
+    a = model.arrays
+    factory_arguments = group.contact_model, model.types.real, group.has_joints, group.projected
     inputs = {**_contact_inputs(plan, state), **group.material_inputs, "step": step}
-    if not plan.uses_queues:
+    if not plan.one_thread_per_contact:
         ranges = {"first_set": group.first_set, "first_contact": group.first}
-        return plan.prepare(fused_contact.kernel(*codes), group.set_count, status=status, **ranges, **inputs)
+        return plan.prepare(
+            fused_contact.kernel(*factory_arguments), group.set_count, status=status, **ranges, **inputs
+        )
     inputs |= {"ordered": ordered_sum, "wrenches": a.wrenches}
-    kernel, count = fused_contact_grid.kernel(*codes, plan.shape.small), group.cluster_count
+    kernel, count = fused_contact_grid.kernel(*factory_arguments, plan.shape.small), group.cluster_count
     launches = plan.prepare(kernel, count, block_dim=GRID_BLOCK, status=status, **inputs)
     if plan.shape.small:
         return launches
     threads = min(SEARCH_THREADS, _whole_warps(plan.count * count))
-    kernel = fused_contact_grid.remaining(*codes)
+    kernel = fused_contact_grid.remaining(*factory_arguments)
     return launches + plan.prepare(kernel, count, threads=threads, block_dim=SMALL_BLOCK, **inputs)
 
 
@@ -273,18 +276,18 @@ def detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[
         )
     if plan.shape.detection == "queues":
         return launches + _queued_detection_stages(plan, state, status)
-    kernel, inputs = contact_detection.kernel(real, model.has_latched_contacts), _contact_inputs(plan, state)
+    kernel, inputs = contact_detection.kernel(real, model.tracks_faces), _contact_inputs(plan, state)
     return launches + plan.prepare(kernel, model.clusters.count, status=status, cached=plan.uses_cache, **inputs)
 
 
 def _grid_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that detect contacts in face grids, and search with a BVH for the remaining ones."""
     model = plan.model
-    real, latched, clusters = model.types.real, model.has_latched_contacts, model.clusters.count
+    real, latched, clusters = model.types.real, model.tracks_faces, model.clusters.count
     inputs = _contact_inputs(plan, state)
     # On a CPU one thread processes a whole cluster.
     width = model.clusters.width if model.device.is_cuda else 0
-    single_launch = plan.shape.small or not plan.uses_queues
+    single_launch = plan.shape.small or not plan.one_thread_per_contact
     kernel = contact_detection_grid.kernel(real, latched, width, single_launch)
     threads, block_dim = _whole_warps(plan.count * clusters * width), warps.LANES if single_launch else GRID_BLOCK
     launches = plan.prepare(kernel, clusters, threads=threads, block_dim=block_dim, status=status, **inputs)
@@ -298,7 +301,7 @@ def _grid_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) ->
 def _queued_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches of contact detection on a GPU with one work queue per detection part."""
     model = plan.model
-    a, real, latched = model.arrays, model.types.real, model.has_latched_contacts
+    a, real, latched = model.arrays, model.types.real, model.tracks_faces
     clusters, contacts = model.clusters.count, model.contact_count
     inputs, queues = _contact_inputs(plan, state), {"status": status, "model": a.model, "cache": a.cache}
     launches = plan.prepare(contact_detection_queues.enqueue(real, latched), clusters, contacts=contacts, **queues)
@@ -319,8 +322,8 @@ def _queued_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) 
     )
     for part, next_part in zip(parts, [*parts[1:], parts[-1]], strict=True):
         kernel = contact_detection_queues.process(real, latched, part, next_part)
-        most = SEARCH_THREADS if part in (DETECT_BVH, DETECT_QUERY) else DETECTION_THREADS
-        threads = min(most, _whole_warps(plan.count * contacts))
+        max_threads = SEARCH_THREADS if part in (DETECT_BVH, DETECT_QUERY) else DETECTION_THREADS
+        threads = min(max_threads, _whole_warps(plan.count * contacts))
         launches += plan.prepare(kernel, contacts, threads=threads, block_dim=SMALL_BLOCK, **inputs)
     return launches + plan.prepare(
         contact_detection_queues.compact(real), clusters, active_contacts=a.active_contacts, **queues
@@ -340,13 +343,13 @@ def accept_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out:
     a, real = model.arrays, model.types.real
     launches = []
     if not plan.shape.integrator_accepts:
-        single_launch = model.clusters.count > 0 and not model.has_latched_contacts
+        single_launch = model.clusters.count > 0 and not model.tracks_faces
         inputs = {"status": a.status, "time": a.time, "bodies": model.body_count}
         inputs |= {"state_in": state_in, "state_out": state_out}
         if not single_launch:
             launches += plan.prepare(accept_step.kernel(real), 1, step=dt.clock, **inputs)
         launches += plan.prepare(
-            history.kernel(real, model.has_latched_contacts, single_launch),
+            history.kernel(real, model.tracks_faces, single_launch),
             model.clusters.count,
             step=dt.real,
             clock_step=dt.clock,
@@ -367,8 +370,8 @@ def fused_step_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_
     model, clusters = plan.model, plan.model.clusters
     real, (group,) = model.types.real, model.groups
     lanes = warps.LANES if model.device.is_cuda else 1
-    codes = group.parts, real, group.projected, model.has_external_forces
-    kernel = fused_step.kernel(*codes, clusters.width, clusters.count, lanes)
+    factory_arguments = group.contact_model, real, group.projected, model.has_external_forces
+    kernel = fused_step.kernel(*factory_arguments, clusters.width, clusters.count, lanes)
     # With many environments, each thread has one. With few, a warp has fewer environments, so that there are
     # ``FULL_WARPS`` warps; the lanes share the contacts. A single contact cannot be shared.
     envs_per_warp = lanes if model.contact_count == 1 else min(lanes, max(1, plan.count // FULL_WARPS))
@@ -388,7 +391,9 @@ def multi_step_stages(plan: ExecutionPlan, dt: StepLength, state: Any) -> list[w
     """Returns the multi-step launch of semi-implicit Euler steps of a loop per environment."""
     model, clusters = plan.model, plan.model.clusters
     (group,) = model.groups
-    kernel = fused_steps_cpu.kernel(group.parts, model.types.real, group.projected, model.has_external_forces)
+    kernel = fused_steps_cpu.kernel(
+        group.contact_model, model.types.real, group.projected, model.has_external_forces
+    )
     counts, inputs = {"sets": clusters.set_count, "clusters": clusters.count}, _step_inputs(plan, dt, group)
     return plan.prepare(kernel, 1, state=state, **counts, **inputs)
 

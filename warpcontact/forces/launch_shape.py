@@ -1,9 +1,9 @@
 """Chooses how the stages of a step are composed into kernels: the launch shape.
 
-``SHAPES`` lists the launch shapes, the fastest first, each with its conditions. ``choose_shape`` returns the first
-one whose conditions hold, with the reasons for which faster ones were rejected. The stages are the same device
-functions in all launch shapes, so results are bitwise identical on one device. ``ExecutionPlan.shape`` is the launch
-shape of a plan, and the functions ``*_stages`` of ``execution_plan`` build its launches.
+``SHAPES`` lists the launch shapes, the fastest first, each with the obstacles that exclude it. ``choose_shape``
+returns the first one without an obstacle, with the obstacle that excluded each faster one. The stages are the same
+device functions in all launch shapes, so results are bitwise identical on one device. ``ExecutionPlan.shape`` is the
+launch shape of a plan, and the functions ``*_stages`` of ``execution_plan`` build its launches.
 """
 
 from collections.abc import Callable
@@ -68,11 +68,11 @@ def choose_shape(plan: "ExecutionPlan") -> LaunchShape:
     allowed = plan.fastest_shape == AUTO
     for name, row in SHAPES.items():
         allowed = allowed or name == plan.fastest_shape
-        conditions = row.conditions if allowed else (_not_selected,)
-        obstacle = next((text for condition in conditions if (text := condition(plan))), "")
-        if not obstacle:
+        obstacles = row.obstacles if allowed else (_not_selected,)
+        reason = next((text for obstacle in obstacles if (text := obstacle(plan))), "")
+        if not reason:
             break
-        rejected[name] = obstacle
+        rejected[name] = reason
     return LaunchShape(
         name, _is_small(plan), _detection(plan), _integrator_sums(plan), _integrator_accepts(plan), rejected
     )
@@ -87,10 +87,10 @@ def _detection(plan: "ExecutionPlan") -> str:
     if not plan.uses_cache:
         return "clusters"
     # In work queues, threads of a warp share contacts of many clusters, if there are enough of them.
-    queues_are_faster = plan.uses_queues and not _is_small(plan) and plan.model.clusters.width > 1
+    queues_are_faster = plan.one_thread_per_contact and not _is_small(plan) and plan.model.clusters.width > 1
     if plan.model.arrays.uses_face_grid and not queues_are_faster:
         return "grid"
-    return "queues" if plan.uses_queues else "clusters"
+    return "queues" if plan.one_thread_per_contact else "clusters"
 
 
 def _integrator_sums(plan: "ExecutionPlan") -> bool:
@@ -105,17 +105,18 @@ def _integrator_accepts(plan: "ExecutionPlan") -> bool:
     model = plan.model
     # With many environments on a GPU, two launches with fewer registers each are faster.
     few_clusters = model.device.is_cpu or (model.clusters.count == 1 and _is_small(plan))
-    conditions = (_fusion_is_off, _other_integrator, _outputs_are_read, _several_bodies, _joints, _latched)
+    obstacles = (_fusion_is_off, _other_integrator, _outputs_are_read, _several_bodies, _joints, _tracks_faces)
     return (
         few_clusters
         and model.clusters.count > 0
         and _integrator_sums(plan)
-        and not any(condition(plan) for condition in conditions)
+        and not any(obstacle(plan) for obstacle in obstacles)
     )
 
 
-# A condition of a launch shape returns the reason for which a plan does not meet it, or an empty text.
-Condition = Callable[["ExecutionPlan"], str]
+# An obstacle of a launch shape returns the reason for which it excludes the launch shape for a plan. Empty text: it
+# does not.
+Obstacle = Callable[["ExecutionPlan"], str]
 
 
 class ShapeRow(NamedTuple):
@@ -123,11 +124,11 @@ class ShapeRow(NamedTuple):
 
     Attributes:
         summary: The kernels of a step.
-        conditions: Conditions that must hold. The first one that does not is reported.
+        obstacles: What excludes the launch shape. The first obstacle that applies is reported.
     """
 
     summary: str
-    conditions: tuple[Condition, ...]
+    obstacles: tuple[Obstacle, ...]
 
 
 def _not_selected(plan: "ExecutionPlan") -> str:
@@ -138,12 +139,12 @@ def _fusion_is_off(plan: "ExecutionPlan") -> str:
     return "" if FUSE_STAGES else "WARPCONTACT_COMPILE=quick selects staged kernels"
 
 
-def _on_cpu(plan: "ExecutionPlan") -> str:
-    return "" if plan.uses_queues else "it is for GPUs"
+def _for_gpus(plan: "ExecutionPlan") -> str:
+    return "" if plan.one_thread_per_contact else "it is for GPUs"
 
 
-def _on_gpu(plan: "ExecutionPlan") -> str:
-    return "it is for CPUs" if plan.uses_queues else ""
+def _for_cpus(plan: "ExecutionPlan") -> str:
+    return "it is for CPUs" if plan.one_thread_per_contact else ""
 
 
 def _no_cache(plan: "ExecutionPlan") -> str:
@@ -166,8 +167,8 @@ def _detected_before(plan: "ExecutionPlan") -> str:
     return "" if plan.evaluated_state is None else "the contacts of a frame are reused"
 
 
-def _latched(plan: "ExecutionPlan") -> str:
-    return "a contact is latched or swept" if plan.model.has_latched_contacts else ""
+def _tracks_faces(plan: "ExecutionPlan") -> str:
+    return "a contact is latched or swept" if plan.model.tracks_faces else ""
 
 
 def _contacts_are_read(plan: "ExecutionPlan") -> str:
@@ -218,7 +219,7 @@ def _no_face_grid(plan: "ExecutionPlan") -> str:
 
 def _fused_contact_kernel(plan: "ExecutionPlan") -> str:
     """Returns the reason for which no fused contact kernel exists for the device and its detection."""
-    if not plan.uses_queues:
+    if not plan.one_thread_per_contact:
         return _face_grid(plan)
     width = plan.model.clusters.width
     if width != 1:
@@ -226,22 +227,29 @@ def _fused_contact_kernel(plan: "ExecutionPlan") -> str:
     return _no_face_grid(plan) or _several_contact_models(plan)
 
 
-_COMPLIANT = (_fusion_is_off, _no_cache, _outputs_are_read, _nonsmooth, _detected_before, _latched)
-_ONE_BODY = (_other_integrator, _several_bodies, _joints, _other_forces)
+_FUSION_OBSTACLES = (_fusion_is_off, _no_cache, _outputs_are_read, _nonsmooth, _detected_before, _tracks_faces)
+_STEP_FUSION_OBSTACLES = (_other_integrator, _several_bodies, _joints, _other_forces)
 
 #: The launch shapes, the fastest first. Device functions that compose stages are in ``kernels/launch_shapes``.
 SHAPES: dict[str, ShapeRow] = {
     WARP_PER_ENVIRONMENT: ShapeRow(
         "one kernel per step; the threads of a warp share the contacts of its environments",
-        (_on_cpu, *_COMPLIANT, *_ONE_BODY, _several_sets, _no_face_grid, _many_clusters),
+        (_for_gpus, *_FUSION_OBSTACLES, *_STEP_FUSION_OBSTACLES, _several_sets, _no_face_grid, _many_clusters),
     ),
     LOOP_PER_ENVIRONMENT: ShapeRow(
         "one kernel for any number of steps; a thread takes them in one environment after the other",
-        (_on_gpu, *_COMPLIANT, *_ONE_BODY, _no_contacts, _several_contact_models, _face_grid),
+        (
+            _for_cpus,
+            *_FUSION_OBSTACLES,
+            *_STEP_FUSION_OBSTACLES,
+            _no_contacts,
+            _several_contact_models,
+            _face_grid,
+        ),
     ),
     FUSED_CONTACT: ShapeRow(
         "contact detection and force in one kernel per contact model, then the other stages",
-        (*_COMPLIANT, _contacts_are_read, _no_contacts, _fused_contact_kernel),
+        (*_FUSION_OBSTACLES, _contacts_are_read, _no_contacts, _fused_contact_kernel),
     ),
     STAGED: ShapeRow("separate kernels for detection, contact force and integration", ()),
 }

@@ -39,7 +39,7 @@ class Sensor:
         meaning: Description with frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
         needs: Quantities to compute first: ``"contacts"``, or also the ``"wrenches"`` on bodies; body
-            ``"positions"``, ``"energies"`` and ``"momenta"``; contact ``"points"``; ``"distances"`` also of contacts
+            ``"positions"``, ``"energies"`` and ``"momenta"``; contact ``"points"``; ``"all_distances"`` also of contacts
             that are far; ``"reactions"`` and ``"coordinates"`` of joints; forces of ``"contact_couplings"``;
             ``"shape_points"``, ``"shape_curvatures"`` and ``"shape_gradients"`` of shape contacts; measures of
             ``"particles"``.

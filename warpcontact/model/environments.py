@@ -13,7 +13,7 @@ from warpcontact.forces.sensor import Sensor
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import explain_renamed, stored_name
 from warpcontact.model.health import Health
-from warpcontact.model.scene_traits import CONTACT_NEEDS
+from warpcontact.model.model_traits import CONTACT_NEEDS
 from warpcontact.scene.couplings import Catenary
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.memory_estimate import MemoryEstimate, env_count_text, require, total

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from warpcontact.forces.contact_groups import ContactGroup
 from warpcontact.forces.execution_plan import ExecutionPlan, KernelLister
 from warpcontact.model.environments import Environments
+from warpcontact.model.model_traits import ModelTraits
 from warpcontact.model.plan import DeviceModelPlan
-from warpcontact.model.scene_traits import SceneTraits
 from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages
 from warpcontact.scene.elements import Contact
 from warpcontact.storage.allocation_plan import broadcast
@@ -69,7 +69,7 @@ class External:
     torque: wp.array
 
 
-class DeviceModel(Environments, SceneTraits):
+class DeviceModel(Environments, ModelTraits):
     """Environments of one scene on one device. Users get the subclass ``Model``.
 
     Args:
@@ -335,7 +335,7 @@ class DeviceModel(Environments, SceneTraits):
     def group_of(self, contact: Contact) -> tuple[ContactGroup, int]:
         """Returns the contact group of ``contact``, and the index of its first item in the group."""
         own = [other for other in self.scene.contacts if other.code == contact.code]
-        group = next(group for group in self.groups if (group.parts, group.projected) == contact.code)
+        group = next(group for group in self.groups if (group.contact_model, group.projected) == contact.code)
         return group, sum(other.count for other in own[: own.index(contact)])
 
     @shared_capture_lock()

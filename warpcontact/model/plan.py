@@ -14,7 +14,7 @@ from warpcontact.forces.sensor import Sensor
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
 from warpcontact.kernels.types import Structs
-from warpcontact.model.scene_traits import SceneTraits
+from warpcontact.model.model_traits import ModelTraits
 from warpcontact.scene.elements import Contact
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import AllocationPlan
@@ -25,7 +25,7 @@ from warpcontact.system.capture_lock import shared_capture_lock
 
 
 @dataclass(frozen=True)
-class DeviceModelPlan(SceneTraits):
+class DeviceModelPlan(ModelTraits):
     """Plan of a model on one device; no device memory is allocated before ``allocate``.
 
     Attributes:

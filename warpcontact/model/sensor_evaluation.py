@@ -10,13 +10,13 @@ import warp as wp
 
 from warpcontact.forces.execution_plan import ExecutionPlan, force_stages
 from warpcontact.kernels.outcomes import body_measures
-from warpcontact.model.scene_traits import SceneTraits
+from warpcontact.model.model_traits import ModelTraits
 
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
 
 
-def can_evaluate_by_slice(model: SceneTraits, device: wp.Device, nonsmooth: bool, needs: Set[str]) -> bool:
+def can_evaluate_by_slice(model: ModelTraits, device: wp.Device, nonsmooth: bool, needs: Set[str]) -> bool:
     """Returns whether ``evaluation_stages`` computes all ``needs`` on a CPU, so that slices can be evaluated.
 
     ``nonsmooth``: whether there are nonsmooth contacts. Their sensors are copied after an evaluation.

@@ -112,7 +112,7 @@ def stepping_memory(
             1,
             distance_cache and not (monitor and monitor.needs_all_distances),
             ordered_sum=not queued,
-            uses_queues=queued,
+            one_thread_per_contact=queued,
             nonsmooth=buffers.nonsmooth,
             fastest_shape=launch_shape,
         )

@@ -17,8 +17,8 @@ from warpcontact.kernels.catalogue.names import explain_renamed
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.model.environments import Environments
 from warpcontact.model.model import DeviceModel, State
+from warpcontact.model.model_traits import CONTACT_NEEDS
 from warpcontact.model.quarantine import CADENCE, raise_failed, reset_failed
-from warpcontact.model.scene_traits import CONTACT_NEEDS
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.chunk_sizer import ChunkSizer, progress_bar

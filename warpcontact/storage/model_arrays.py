@@ -28,7 +28,7 @@ class ModelArrays:
         zero_step: A step of 0 s [1, 1].
         active_status: The status of an active environment [1].
         guard: Limits of speed and distance, and failure causes (``kernels/acceptance/accept_step.py:Guard``).
-        closed: Gap below which contacts are closed (``storage/parameters.py:ClosedGap``).
+        contact_tolerance: Gap below which contacts are closed (``storage/parameters.py:ContactTolerance``).
         positions: Positions of bodies in float64, for sensors.
         energies: Kinetic energies of bodies, for sensors.
         momenta: Angular momenta of bodies, for sensors.
@@ -50,7 +50,7 @@ class ModelArrays:
     zero_step: Any = None
     active_status: Any = None
     guard: Any = None
-    closed: Any = None
+    contact_tolerance: Any = None
     positions: Any = None
     energies: Any = None
     momenta: Any = None

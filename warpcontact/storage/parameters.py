@@ -237,7 +237,7 @@ class DeviceField:
 
 
 @dataclass(frozen=True)
-class ClosedGap:
+class ContactTolerance:
     """Gaps below which contacts are closed: 0, or the tolerance of nonsmooth contact. Not a user parameter.
 
     Attributes:

@@ -67,7 +67,7 @@ class Step:
     """
 
     def __init__(self, inverse_masses, velocities, rows):
-        self.moves = not all(isinstance(given, tuple) for given in inverse_masses)
+        self.has_joints = not all(isinstance(given, tuple) for given in inverse_masses)
         self.inverse = np.array([_inverse(m) for m in inverse_masses])
         self.velocity = np.array([np.concatenate(v) for v in velocities], float)
         self.rows = rows
@@ -144,7 +144,7 @@ class Step:
         arrays = self.arrays(real, len(status))
         if tolerance is None:
             tolerance = 1e-12 if real == wp.float64 else 1e-5
-        launch(solver, arrays, real, self.moves, self.rolls, tolerance, iterations, status)
+        launch(solver, arrays, real, self.has_joints, self.rolls, tolerance, iterations, status)
         return Result(arrays, len(self.rows))
 
     def solve_in_turn(self, solvers, tolerance, iterations, status=(0, 1, 0)):
@@ -154,7 +154,7 @@ class Step:
         for solver, most in zip(solvers, iterations, strict=True):
             options = {"has_fallback": True} if change is None else {"is_fallback": True}
             change = launch(
-                solver, arrays, wp.float64, self.moves, self.rolls, tolerance, most, status, change, **options
+                solver, arrays, wp.float64, self.has_joints, self.rolls, tolerance, most, status, change, **options
             )
         return Result(arrays, len(self.rows))
 
@@ -191,7 +191,7 @@ class Step:
             "inverse_inertia": self.inverse[:, 3:, 3:],
             "at_rest": [self.still] * len(self.inverse),
         }
-        moving = records(body_response_struct(real, self.moves), values)
+        moving = records(body_response_struct(real, self.has_joints), values)
         outcome.count = wp.full(envs, len(self.rows), dtype=wp.int32, device=DEVICE)
         outcome.slack = wp.zeros(envs, dtype=real, device=DEVICE)
         outcome.residual = wp.full(envs, -1.0, dtype=real, device=DEVICE)
@@ -214,14 +214,14 @@ def tower(masses, push=0.0, mu=0.5):
     return Step(bodies, velocities, rows)
 
 
-def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, change=None, **options):
+def launch(solver, arrays, real, has_joints, rolls, tolerance, iterations, status, change=None, **options):
     """Runs a solver once on all environments; returns the arrays it has changed."""
     rows, moving, outcome = arrays
     module = SOLVERS[solver]
     scratch = wp.zeros(rows.shape, dtype=module.scratch(real, rolls), device=DEVICE)
     if change is None:
         change = wp.zeros(moving.shape, dtype=velocity_change_struct(real), device=DEVICE)
-    kernel = module.kernel(real, moves, rolls, **options)
+    kernel = module.kernel(real, has_joints, rolls, **options)
     launch = LaunchRange()
     launch.envs, launch.items = len(status), 1
     launch.threads = launch.envs if wp.get_device(DEVICE).is_cuda else 1

@@ -22,10 +22,10 @@ def by_equation(monkeypatch):
     return solve
 
 
-def slipping(rng, bodies, moves, mu):
+def slipping(rng, bodies, has_joints, mu):
     """Bodies that slip fast on the ground, or on each other, at one contact."""
     inverse = [(2.0, np.diag(rng.uniform(0.1, 0.3, 3))) for _ in range(bodies)]
-    if moves:
+    if has_joints:
         free = Step(inverse, np.zeros((bodies, 2, 3)), []).inverse
         # Directional mass coupled with rotation, as for a body with a joint.
         couplings = rng.uniform(-0.2, 0.2, (bodies, 6, 6))
@@ -42,12 +42,12 @@ def slipping(rng, bodies, moves, mu):
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.3, 2.0])
-@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.parametrize("has_joints", [False, True])
 @pytest.mark.parametrize("bodies", [1, 2])
-def test_single_slip_solve_matches_its_equation(bodies, moves, mu, by_equation):
+def test_single_slip_solve_matches_its_equation(bodies, has_joints, mu, by_equation):
     rng = np.random.default_rng(5)
     for _ in range(3):
-        step = slipping(rng, bodies, moves, mu)
+        step = slipping(rng, bodies, has_joints, mu)
         found = step.solve("gauss_seidel", iterations=1)
         expected = by_equation(step, iterations=1)
         assert found.converged

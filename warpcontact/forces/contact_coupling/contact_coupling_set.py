@@ -99,7 +99,7 @@ class ContactCouplingSet(ForceElement):
         launches = []
         for group, first, count in self._groups:
             launches += plan.prepare(
-                kernels.advance(group.parts.law, real, group.projected),
+                kernels.advance(group.contact_model.law, real, group.projected),
                 count,
                 status=a.status,
                 model=a.model,

@@ -134,7 +134,7 @@ def _run_kernel_on(
     arrays = [wp.array(np.ascontiguousarray(values), dtype=real, device=device) for values in inputs]
     results = [wp.zeros(shape, dtype=real, device=device) for _ in range(outputs)]
     wp.launch(
-        kernel(getattr(group.parts, part), real),
+        kernel(getattr(group.contact_model, part), real),
         dim=shape,
         inputs=[coefficients, *arrays],
         outputs=results,

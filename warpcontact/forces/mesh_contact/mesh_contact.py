@@ -198,7 +198,7 @@ class MeshContact(ForceElement):
         )
         for key, (attribute, unit, meaning) in CONTACT_SENSORS.items():
             codes = ContactStatus if key == "status" else None
-            needs = ("contacts", "distances") if key in _OF_FAR else ("contacts",)
+            needs = ("contacts", "all_distances") if key in _OF_FAR else ("contacts",)
             options: dict[str, Any] = {"needs": needs, "items": several, "codes": codes}
             shape = shape_in(self._types.Contacts, attribute)
             yield Sensor(

@@ -267,12 +267,14 @@ class NonsmoothContacts(ForceElement):
 
     def _set_contact_gap(self, model: "DeviceModel", gap: float) -> None:
         """Sets the gap below which the nonsmooth contacts are closed [m]."""
-        closed = [(model.arrays.closed, self._mesh.numbers)] if self._mesh.count else []
-        closed += [(one.closed, own.numbers) for one, own in self._shape_contact_sets if own.count]
-        closed += [(particle_set.closed, np.arange(1)) for particle_set, _ in self._particle_contact_sets]
-        for one, items in closed:
+        tolerances = [(model.arrays.contact_tolerance, self._mesh.numbers)] if self._mesh.count else []
+        tolerances += [(one.contact_tolerance, own.numbers) for one, own in self._shape_contact_sets if own.count]
+        tolerances += [(one.contact_tolerance, np.arange(1)) for one, _ in self._particle_contact_sets]
+        for one, items in tolerances:
             one.assign(items, gap)
-        model.upload([one.device_field for one, _ in closed], [one.device_field.content() for one, _ in closed])
+        model.upload(
+            [one.device_field for one, _ in tolerances], [one.device_field.content() for one, _ in tolerances]
+        )
 
     def _reset_laws(self, model: "DeviceModel") -> None:
         """Clears entry speeds and approach speeds of nonsmooth contacts, whose laws were not evaluated meanwhile."""
@@ -415,7 +417,7 @@ class NonsmoothContacts(ForceElement):
         couplings or monitors.
         """
         model = plan.model
-        others = model.has_latched_contacts or not all(element.fused for element in model.force_elements)
+        others = model.tracks_faces or not all(element.fused for element in model.force_elements)
         if self.monitored or others or any(self.compliant_clusters(group) for group in model.groups):
             return []
         return plan.prepare(

@@ -38,7 +38,7 @@ from warpcontact.scene import elements as limits_of
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.shapes import Shape
 from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
-from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack
+from warpcontact.storage.parameters import ContactTolerance, DeviceField, Field, Parameter, Parameters, pack
 from warpcontact.storage.state_storage import COUNT
 from warpcontact.system.launches import launch_kernel
 from warpcontact.validation import checks
@@ -142,15 +142,17 @@ class ParticleContactSet(ForceElement):
             coordination=per_env(count),
             force=per_env(count),
         )
-        moves = self._parts.law.needs_mass and context.has_joints
+        has_joints = self._parts.law.needs_mass and context.has_joints
         # On a CPU one thread steps a slice, so wrenches can be added directly.
         self._single_thread = layout.device.is_cpu
-        self._kernel = force.kernel(self._parts, self._traits, self.real, moves, self._single_thread)
+        self._kernel = force.kernel(self._parts, self._traits, self.real, has_joints, self._single_thread)
 
     @property
     def _detection_kernel(self) -> wp.Kernel:
         """The kernel that detects nonsmooth contacts without computing forces."""
-        return force.kernel(self._parts, self._traits, self.real, moves=False, single_thread=True, nonsmooth=True)
+        return force.kernel(
+            self._parts, self._traits, self.real, has_joints=False, single_thread=True, nonsmooth=True
+        )
 
     def _make_lists(self, layout: AllocationPlan, parameters: Parameters) -> NDArray[np.int_] | None:
         """Declares the neighbor lists; returns the maximum number of neighbors per particle; ``None``: all pairs."""
@@ -318,7 +320,7 @@ class ParticleContactSet(ForceElement):
         # A torsion radius of −1 stands for one computed from the penetration.
         values = {key: getattr(contact, key) for key in _RANGES}
         fields = {key: Field(np.array([-1.0 if value is None else value])) for key, value in values.items()}
-        fields["closed"] = Field(np.zeros(1))
+        fields["contact_tolerance"] = Field(np.zeros(1))
 
         def content() -> NDArray[Any]:
             radius, half = self._sizes()
@@ -328,7 +330,7 @@ class ParticleContactSet(ForceElement):
             return pack(struct, columns)
 
         device_field = parameters.device_field(self.particles, "settings", struct, content)
-        self.closed = ClosedGap(fields["closed"], device_field)
+        self.contact_tolerance = ContactTolerance(fields["contact_tolerance"], device_field)
         for key in ("radius", "half_length"):
             for one in self._pose[key]:
                 if one is not None:

@@ -35,7 +35,7 @@ from warpcontact.scene.shapes import ShapeContact
 from warpcontact.scene.status import ContactStatus
 from warpcontact.storage.allocation_plan import SENSOR_PURPOSE, fixed, per_env
 from warpcontact.storage.model_arrays import ModelArrays
-from warpcontact.storage.parameters import ClosedGap, Field, pack
+from warpcontact.storage.parameters import ContactTolerance, Field, pack
 from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.compilation import load
 from warpcontact.validation import checks
@@ -214,13 +214,13 @@ class ShapeContactSet(ForceElement):
             for key in _RANGES
         }
 
-        fields["closed"] = Field(np.zeros(self.count))
+        fields["contact_tolerance"] = Field(np.zeros(self.count))
 
         def content() -> NDArray[Any]:
             return pack(ShapeContactSettings, {key: field.values for key, field in fields.items()})
 
         device_field = parameters.device_field(self, "settings", ShapeContactSettings, content)
-        self.closed = ClosedGap(fields["closed"], device_field)
+        self.contact_tolerance = ContactTolerance(fields["contact_tolerance"], device_field)
         for contact, items in self.items.items():
             for key, allowed in _RANGES.items():
                 if getattr(contact, key) is not None:

@@ -118,7 +118,7 @@ class Candidates:
         self.bodies = np.concatenate([np.zeros((0, 2), dtype=int), *bodies])
         table = np.concatenate([np.zeros((0, 4)), *coefficients])
         self.mu_static, self.mu, self.restitution, self.enabled = table.T
-        self._needs = {"contacts", "distances"}
+        self._needs = {"contacts", "all_distances"}
         if scene.contacts:
             self._needs.add("points")
         if scene.shape_contacts:

@@ -15,16 +15,19 @@ from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.storage.model_arrays import ModelArrays
 
 #: Needs of contacts and wrenches, including contacts that are far.
-CONTACT_NEEDS = frozenset(("wrenches", "distances"))
-#: Needs without arrays of their own: contacts and forces; wrenches on bodies; contacts that are far.
+CONTACT_NEEDS = frozenset(("wrenches", "all_distances"))
+#: Needs without arrays of their own.
 _FORCE_NEEDS = {
+    # Contacts that can touch, and their forces.
     "contacts": Need(by_slice=True),
+    # Wrenches on bodies.
     "wrenches": Need(by_slice=True),
-    "distances": Need(by_slice=True, all_distances=True),
+    # Gaps, normals and points of all contacts, including those that are far.
+    "all_distances": Need(by_slice=True, all_distances=True),
 }
 
 
-class SceneTraits:
+class ModelTraits:
     """Counts, flags and needs of a model, independent of the number of environments.
 
     Attributes:
@@ -57,7 +60,7 @@ class SceneTraits:
         return any(contact.swept for contact in self.scene.contacts)
 
     @cached_property
-    def has_latched_contacts(self) -> bool:
+    def tracks_faces(self) -> bool:
         """Whether any contact tracks its closest point from step to step: latched or swept."""
         return self.has_swept_contacts or any(contact.entry == "latched" for contact in self.scene.contacts)
 
