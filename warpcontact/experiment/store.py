@@ -5,8 +5,8 @@
     checkpoint/<shard>-<steps>.npz               state from which an unfinished shard resumes
     commit/store.json, commit/<shard>.json       names, sizes and SHA-256 of the initial files; of committed chunks
 
-Arrays are created with their final shape, filled with NaN or −1. Each chunk belongs to one shard. A commit syncs the
-staged chunks, the checkpoint and the record that names them, in this order, and then moves the chunks to
+Arrays are created with their final shape, filled with NaN or −1. Each chunk belongs to one shard. The checkpoint
+and the staged chunks are synced, in any order, before the record that names them. Then the chunks are moved to
 ``data.zarr``. After a crash at any time, ``Ledger.recover`` restores the last commit. Files that no record names are
 ignored. Chunks of series are written and synced while steps continue.
 """
@@ -284,7 +284,9 @@ class Ledger:
         return Staging(self.folder, shard, threads)
 
     def commit(self, shard: Shard, commit: Commit, staged: Files) -> None:
-        """Commits the staged files and the checkpoint, which is already written.
+        """Commits the staged files and the checkpoint, which are already synced to the disk.
+
+        Writes the record, moves the files to ``data.zarr`` and removes older checkpoints.
 
         Args:
             shard: The shard.
