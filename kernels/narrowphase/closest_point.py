@@ -260,7 +260,11 @@ def functions(real: type, tracks: bool, part: str) -> Functions:
     def detect(
         model: Model, set_frames: SetFrames, history: History, cached: bool, cache: Cache, env: int, contact: int
     ):
-        """Returns the narrow-phase result of a contact."""
+        """Returns the narrow-phase result of a contact.
+
+        In the symbols of ``docs/contact.md``: P is ``p_S`` and P − S is ``closest.to_point``, in the frame and unit of
+        the mesh; RC is ``radius``; ``s`` is in m.
+        """
         geometry = model.contact_geometry[env, contact]
         radius = geometry.radius
         armed = history.armed[env, contact]
@@ -269,7 +273,7 @@ def functions(real: type, tracks: bool, part: str) -> Functions:
             return no_closest_point(real(wp.inf), real(wp.nan), DISABLED, armed, arm_W)
         search_gap = wp.max(geometry.search_radius - radius, real(0.0))
 
-        # Distance below which the contact is closed.
+        # Signed distance below which the contact is closed. The tolerance is 0 for compliant contact.
         contact_radius = radius + geometry.contact_tolerance
         # Mesh frame and unit, in which float32 is as accurate as the mesh.
         query_mesh, scale = set_frames.query_mesh, set_frames.scale

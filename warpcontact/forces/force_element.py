@@ -155,7 +155,7 @@ class ForceElement(ABC):
             step: Time over which the forces act [env, 0] [s]; zeros for instantaneous forces.
             status: Status of the environments [env].
             by_cluster: Whether forces of clusters, and of the target ``BODIES``, stay unsummed. The integrator sums
-                them, or they are not needed.
+                them, or they are not needed. Elements of the target ``ENDS`` ignore it.
         """
         return []
 
