@@ -193,10 +193,10 @@ def unit_vectors(name: str, values: np.ndarray) -> np.ndarray:
     """
     # Divide by the largest component first, so that squares neither overflow nor vanish.
     largest = np.abs(values).max(axis=-1, keepdims=True)
-    bad = np.argwhere(largest[..., 0] == 0.0)
-    if len(bad):
-        where = list(map(int, bad[0]))
-        raise ValueError(f"{name}{where or ''} must be a direction, got {values[tuple(bad[0])].tolist()}")
+    invalid = np.argwhere(largest[..., 0] == 0.0)
+    if len(invalid):
+        where = list(map(int, invalid[0]))
+        raise ValueError(f"{name}{where or ''} must be a direction, got {values[tuple(invalid[0])].tolist()}")
     scaled = values / largest
     return scaled / np.linalg.norm(scaled, axis=-1, keepdims=True)
 

@@ -134,8 +134,8 @@ def root_between(what: str, function: Callable[[Values], Values], lower: ArrayLi
     x1, x2 = (np.array(ends, dtype=np.float64) for ends in np.broadcast_arrays(lower, upper))
     f1, f2 = function(x1), function(x2)
     if not np.all(np.sign(f1) * np.sign(f2) <= 0.0):
-        bad = ~(np.sign(f1) * np.sign(f2) <= 0.0)
-        a, b, at_a, at_b = (of[bad][0] for of in np.broadcast_arrays(x1, x2, f1, f2))
+        invalid = ~(np.sign(f1) * np.sign(f2) <= 0.0)
+        a, b, at_a, at_b = (of[invalid][0] for of in np.broadcast_arrays(x1, x2, f1, f2))
         raise RuntimeError(
             f"no {what} found between {a:g} and {b:g}: the values there are {at_a:g} and {at_b:g}, and must have "
             "different signs"

@@ -195,8 +195,8 @@ def stiffness_per_modulus(curvature_1: Any, curvature_2: Any):
     """
     zero = type(curvature_1)(0.0)
     one = type(curvature_1)(1.0)
-    least = curvature_2 / type(curvature_1)(LONGEST)
-    low = wp.where(curvature_1 < least, least, curvature_1)
+    min_curvature = curvature_2 / type(curvature_1)(LONGEST)
+    low = wp.where(curvature_1 < min_curvature, min_curvature, curvature_1)
     k = axis_ratio_of(wp.max(curvature_2 / low, one))
     K, E, _B, _D, _S = elliptic_integrals(k)
     # δ = K(m) [9/(2 E(m) R) (F/(2 π k E*))²]^(1/3), 1/R the sum of the curvatures.

@@ -37,7 +37,7 @@ def next_leaf_function(real: type, Traversal: Any, PruningReference: Any, error:
         while (traversal.count > 0) {{
             const int node = traversal.node[--traversal.count];
             // Skip nodes that a closer face has excluded since they were pushed, and nodes with a NaN distance.
-            if (!(traversal.least[traversal.count] <= within)) continue;
+            if (!(traversal.lower_bound[traversal.count] <= within)) continue;
             if (node >= tree[1]) return tree[3] + node - tree[1];
             const float* numbers = bounds.data + 64 * (size_t(tree[0]) + node);
             auto read = [&](int which) {{
@@ -56,12 +56,12 @@ def next_leaf_function(real: type, Traversal: Any, PruningReference: Any, error:
             const Reals beside = __builtin_elementwise_max(lateral - radius, zero);
             const Reals distance = __builtin_elementwise_sqrt(over * over + beside * beside);
             const Reals slack = rounding * (lateral + above + radius);
-            const Reals least = distance - slack;
-            Flags those = __builtin_convertvector(least <= within, Flags);
+            const Reals lower_bound = distance - slack;
+            Flags those = __builtin_convertvector(lower_bound <= within, Flags);
             if (reference.far > 0) {{
                 // Condition of ``lead_distance`` without a root, with the gradient of the disk distance.
                 const {scalar} far = reference.far, d = reference.distance;
-                const Reals ahead = least - d;
+                const Reals ahead = lower_bound - d;
                 const Reals turning = ahead / far - (far / d + reference.rounding)
                     - slack / __builtin_elementwise_max(distance, tiny);
                 const Reals up = over / __builtin_elementwise_max(distance, tiny);
@@ -82,12 +82,12 @@ def next_leaf_function(real: type, Traversal: Any, PruningReference: Any, error:
             for (int left = bits; left != 0; left &= left - 1) {{
                 const int k = __builtin_ctz(left);
                 int at = traversal.count++;
-                while (at > start && traversal.least[at - 1] < least[k]) {{
-                    traversal.least[at] = traversal.least[at - 1];
+                while (at > start && traversal.lower_bound[at - 1] < lower_bound[k]) {{
+                    traversal.lower_bound[at] = traversal.lower_bound[at - 1];
                     traversal.node[at] = traversal.node[at - 1];
                     --at;
                 }}
-                traversal.least[at] = least[k];
+                traversal.lower_bound[at] = lower_bound[k];
                 traversal.node[at] = child + k;
             }}
         }}

@@ -65,12 +65,12 @@ def candidates_within(real: type) -> wp.Function:
         typedef {scalar} Numbers __attribute__((ext_vector_type({WIDTH})));
         typedef int Integers __attribute__((ext_vector_type({WIDTH})));
         typedef bool Flags __attribute__((ext_vector_type({WIDTH})));
-        Numbers a, b, c, least;
+        Numbers a, b, c, lower_bound;
         Integers row;
         memcpy(&a, distance_gradient, sizeof(a));
         memcpy(&b, distance_gradient + {WIDTH}, sizeof(b));
         memcpy(&c, distance_gradient + 2 * {WIDTH}, sizeof(c));
-        memcpy(&least, distance_of, sizeof(least));
+        memcpy(&lower_bound, distance_of, sizeof(lower_bound));
         memcpy(&row, row_of, sizeof(row));
         Numbers x = __builtin_shufflevector(a, b, 0, 3, 6, 9, 12, 15, 0, 0);
         Numbers y = __builtin_shufflevector(a, b, 1, 4, 7, 10, 13, 0, 0, 0);
@@ -78,8 +78,8 @@ def candidates_within(real: type) -> wp.Function:
         x = __builtin_shufflevector(x, c, 0, 1, 2, 3, 4, 5, 10, 13);
         y = __builtin_shufflevector(y, c, 0, 1, 2, 3, 4, 8, 11, 14);
         z = __builtin_shufflevector(z, c, 0, 1, 2, 3, 4, 9, 12, 15);
-        least = least + (x * gone[0] + y * gone[1] + z * gone[2]) - slack;
-        const Flags those = __builtin_convertvector(least <= distance, Flags)
+        lower_bound = lower_bound + (x * gone[0] + y * gone[1] + z * gone[2]) - slack;
+        const Flags those = __builtin_convertvector(lower_bound <= distance, Flags)
             & __builtin_convertvector(row != first, Flags);
         unsigned char bits;
         memcpy(&bits, &those, sizeof(bits));

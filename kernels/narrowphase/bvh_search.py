@@ -64,7 +64,7 @@ def functions(real: type) -> Functions:
 
         count: wp.int32
         node: Nodes
-        least: Distances  # lower bound on the distance of the faces of each node
+        lower_bound: Distances  # lower bound on the distance of the faces of each node
 
     @wp.struct
     class PruningReference:
@@ -165,14 +165,14 @@ def functions(real: type) -> Functions:
                 row = start + model.bvh_face[leaf_found]
                 other = closest_on_face(model, row, center)
                 direction = distance_gradient(other)
-                least = distance_lower_bound(other, direction, vec3())
-                if least < reach:
+                lower_bound = distance_lower_bound(other, direction, vec3())
+                if lower_bound < reach:
                     if other.distance < best.distance:
                         best = other
                     leaf = slot + count
                     if count == capacity:
                         # Replace the farthest face; its bound limits the reach of the list.
-                        reach = least
+                        reach = lower_bound
                         for k in range(capacity):
                             i = assume_nonnegative(slot + k)
                             if cache.distance[env, i] > reach:
@@ -183,7 +183,7 @@ def functions(real: type) -> Functions:
                     if leaf < slot + capacity:
                         leaf = assume_nonnegative(leaf)
                         cache.face[env, leaf] = row
-                        cache.distance[env, leaf] = least
+                        cache.distance[env, leaf] = lower_bound
                         cache.gradient[env, leaf] = direction
         store_face_list(cache, env, contact, count, center, reach)
 

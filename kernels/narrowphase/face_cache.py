@@ -123,8 +123,12 @@ def functions(real: type) -> Functions:
         direction_change = direction - per_d * best.to_point
         rounded = per_d * rounded
         # Usually no root is needed: evaluate the condition at |v| = limit.
-        least = ahead * inverse_limit - limit * per_d - rounded
-        if least > real(0.0) and wp.length_sq(direction_change) < least * least and limit < real(0.5) * d:
+        lower_bound = ahead * inverse_limit - limit * per_d - rounded
+        if (
+            lower_bound > real(0.0)
+            and wp.length_sq(direction_change) < lower_bound * lower_bound
+            and limit < real(0.5) * d
+        ):
             return limit
         slope = wp.length(direction_change) + rounded
         far = real(2.0) * ahead / (slope + wp.sqrt(slope * slope + real(4.0) * ahead * per_d))
@@ -255,8 +259,8 @@ def functions(real: type) -> Functions:
         while k < count:
             i = assume_nonnegative(slot + k)
             if cache.face[env, i] != best.row:
-                least = candidate_lower_bound(cache, env, i, displacement, slack)
-                leads = lead_distance(best, cache.gradient[env, i], least, lead_3, inverse_last)
+                lower_bound = candidate_lower_bound(cache, env, i, displacement, slack)
+                leads = lead_distance(best, cache.gradient[env, i], lower_bound, lead_3, inverse_last)
                 if leads < lead_3:
                     lead_3 = wp.max(leads, lead_2)
                     inverse_last = real(1.0) / lead_3

@@ -107,16 +107,16 @@ def functions(real: type) -> Functions:
     def closest_in_cell(model: Model, faces: int, p_S: vec3, margin: real):
         """Returns the closest point on the faces of a list; ``margin`` covers rounding."""
         start = assume_nonnegative(faces) // wp.static(LIST_STRIDE) * wp.static(LIST_ALIGNMENT)
-        least = real(wp.inf)
+        smallest_distance = real(wp.inf)
         # Bits of the faces whose distance is within the margin of the smallest.
         candidates = wp.int32(0)
         for number in range(assume_nonnegative(faces) % wp.static(LIST_STRIDE)):
             distance = face_distance(model, assume_nonnegative(model.cell_face[start + number]), p_S)
-            if distance < least - margin:
+            if distance < smallest_distance - margin:
                 candidates = wp.int32(0)
-            if distance <= least + margin:
+            if distance <= smallest_distance + margin:
                 candidates = candidates | (1 << number)
-            least = wp.min(least, distance)
+            smallest_distance = wp.min(smallest_distance, distance)
         best = closest_on_face(model, model.cell_face[start + lowest_set_bit(candidates)], p_S)
         remaining = candidates & (candidates - 1)
         if remaining != 0:
@@ -200,8 +200,8 @@ def fill_cells(real: type) -> wp.Kernel:
                     if compared_faces[compared] >= 0 and compared_faces[compared] != row:
                         lead = real(wp.inf)
                         for k in range(8):
-                            least = closest.distance + wp.dot(u, corner(c, half, k) - q)
-                            lead = wp.min(lead, least - corner_distances[8 * compared + k])
+                            corner_bound = closest.distance + wp.dot(u, corner(c, half, k) - q)
+                            lead = wp.min(lead, corner_bound - corner_distances[8 * compared + k])
                         if lead > margin:
                             return True
         return False

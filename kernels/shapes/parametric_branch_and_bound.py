@@ -338,7 +338,7 @@ def global_search(
         if wp.static(bounded):
             radius = wp.length(A.extents(p_a))
         search = Search()
-        least = INFINITE
+        smallest_gap = INFINITE
         first = vec2d()
         closest_overall = SignedDistance()
         n = vec3d()
@@ -352,17 +352,19 @@ def global_search(
                 # Not nearer than the bounding sphere of the shape.
                 in_reach = wp.bool(True)
                 if wp.static(bounded):
-                    in_reach = wp.length(point - x) - radius - offset < least
+                    in_reach = wp.length(point - x) - radius - offset < smallest_gap
                 if in_reach:
                     if offset != zero:
                         at = element(p_b, u, v, offset)
                         point = at.z
-                    if wp.dot(n, point) - plane_height < least:
-                        closest = distance_at(p_a, wp.quat_rotate_inv(q, point - x), search.last_normal, least)
+                    if wp.dot(n, point) - plane_height < smallest_gap:
+                        closest = distance_at(
+                            p_a, wp.quat_rotate_inv(q, point - x), search.last_normal, smallest_gap
+                        )
                         search.last_normal = closest.normal
                         search.evaluations += 1
-                        if closest.gap < least:
-                            least = closest.gap
+                        if closest.gap < smallest_gap:
+                            smallest_gap = closest.gap
                             first = vec2d(u, v)
                             closest_overall = closest
                             n = wp.quat_rotate(q, closest.normal)

@@ -145,11 +145,11 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
         s = wp.sin(angle)
         first = mean + size
         second = mean - size
-        least = MIN_CURVATURE_RATIO * wp.max(wp.abs(first), wp.abs(second))
-        if least == zero:
+        min_curvature = MIN_CURVATURE_RATIO * wp.max(wp.abs(first), wp.abs(second))
+        if min_curvature == zero:
             return vec2d()
-        first_step = -(c * by_u + s * by_v) / wp.max(wp.abs(first), least)
-        second_step = -(c * by_v - s * by_u) / wp.max(wp.abs(second), least)
+        first_step = -(c * by_u + s * by_v) / wp.max(wp.abs(first), min_curvature)
+        second_step = -(c * by_v - s * by_u) / wp.max(wp.abs(second), min_curvature)
         on_u = c * first_step - s * second_step
         on_v = s * first_step + c * second_step
         return vec2d(on_u / length - along * on_v / wide, on_v / wide)

@@ -242,9 +242,9 @@ class Torus(Shape):
     @classmethod
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         minor, major = np.broadcast_arrays(values["minor_radius"], values["major_radius"])
-        bad = np.argwhere(minor >= major)
-        if len(bad):
-            where = tuple(bad[0])
+        invalid = np.argwhere(minor >= major)
+        if len(invalid):
+            where = tuple(invalid[0])
             entry = f"minor_radius{list(map(int, where)) if where else ''}"
             raise ValueError(
                 f"Torus.{entry} must be less than the major radius, got {minor[where]:g} m, "

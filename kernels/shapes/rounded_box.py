@@ -30,9 +30,9 @@ class RoundedBox(Shape):
     @classmethod
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         radius, shortest = np.broadcast_arrays(values["radius"], values["half_extents"].min(axis=-1))
-        bad = np.argwhere(radius >= shortest)
-        if len(bad):
-            where = tuple(bad[0])
+        invalid = np.argwhere(radius >= shortest)
+        if len(invalid):
+            where = tuple(invalid[0])
             entry = f"radius{list(map(int, where)) if where else ''}"
             raise ValueError(
                 f"RoundedBox.{entry} must be less than every half extent, got {radius[where]:g} m, "

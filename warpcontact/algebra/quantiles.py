@@ -14,12 +14,12 @@ def quantiles_over(values: Array, levels: ArrayLike) -> Array:
     found = np.full((len(levels), len(values), *values.shape[2:]), np.nan)
     if not values.shape[1]:
         return found
-    whole = ~np.isnan(values).any(axis=tuple(range(1, values.ndim)))
-    if whole.any():
-        found[:, whole] = np.quantile(values[whole], levels, axis=1)
+    is_complete = ~np.isnan(values).any(axis=tuple(range(1, values.ndim)))
+    if is_complete.any():
+        found[:, is_complete] = np.quantile(values[is_complete], levels, axis=1)
     # Much slower.
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
-        if not whole.all():
-            found[:, ~whole] = np.nanquantile(values[~whole], levels, axis=1)
+        if not is_complete.all():
+            found[:, ~is_complete] = np.nanquantile(values[~is_complete], levels, axis=1)
     return found

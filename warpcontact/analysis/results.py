@@ -119,13 +119,13 @@ def check_usable(
     envs: NDArray[np.int64], halted: NDArray[np.bool_], finite: NDArray[np.bool_], name: str, missing: str
 ) -> None:
     """Raises ``ValueError`` if environments are frozen or not finite, unless ``missing`` is ``"drop"``."""
-    bad = np.flatnonzero(halted | ~finite)
-    if missing == "drop" or not len(bad):
+    invalid = np.flatnonzero(halted | ~finite)
+    if missing == "drop" or not len(invalid):
         return
-    named = ", ".join(f"{envs[i]} ({'frozen' if halted[i] else 'not finite'})" for i in bad[:NAMED])
-    more = f" and {len(bad) - NAMED} more" if len(bad) > NAMED else ""
+    named = ", ".join(f"{envs[i]} ({'frozen' if halted[i] else 'not finite'})" for i in invalid[:NAMED])
+    more = f" and {len(invalid) - NAMED} more" if len(invalid) > NAMED else ""
     raise ValueError(
-        f"{name!r} cannot be used in {len(bad)} of {len(envs)} environments: {named}{more}; "
+        f"{name!r} cannot be used in {len(invalid)} of {len(envs)} environments: {named}{more}; "
         "pass missing='drop' to ignore them"
     )
 

@@ -105,10 +105,10 @@ class Replay:
             values = self.variable(f"{body.name}.{key}").transpose("time", "env", ...).values.astype(np.float64)
             kind, shortest = ("position", -1.0) if key == "position" else ("rotation", 0.0)
             length = np.linalg.norm(values, axis=-1)
-            bad = np.argwhere(~(np.isfinite(length) & (length > shortest)))
-            if len(bad):
-                record, row, *item = bad[0].tolist()
-                entry, got = f"{body.name}.{key}{item or ''}", values[tuple(bad[0])].tolist()
+            invalid = np.argwhere(~(np.isfinite(length) & (length > shortest)))
+            if len(invalid):
+                record, row, *item = invalid[0].tolist()
+                entry, got = f"{body.name}.{key}{item or ''}", values[tuple(invalid[0])].tolist()
                 raise ValueError(
                     f"{entry} of environment {self.envs[row]} at {self.times[record]:g} s is not a "
                     f"{kind}: {got}; export other environments, or the records before it"
@@ -129,9 +129,9 @@ class Replay:
         values = self.variable(name).transpose("env", ...).values.astype(np.float64)
         if values.shape not in (shape, shape[:1]):
             raise ValueError(f"{name} must have shape {shape[:1]} or {shape}, got {values.shape}")
-        bad = values[~(np.isfinite(values) & (values >= 0.0))]
-        if len(bad):
-            raise ValueError(f"{name} must be finite and at least 0 m, got {bad[0]}")
+        invalid = values[~(np.isfinite(values) & (values >= 0.0))]
+        if len(invalid):
+            raise ValueError(f"{name} must be finite and at least 0 m, got {invalid[0]}")
         return np.broadcast_to(values.reshape(shape[0], -1), shape)
 
     def static(self, name: str, shape: tuple[int, ...]) -> Array | None:

@@ -96,9 +96,9 @@ class SampleColumns:
         """
         counts = {name: len(numbers) for name, numbers in self.numbers.items()}
         independent = Random(self.seed, counts)
-        most = MOST_COLUMNS // 2 if self.method == "saltelli" else MOST_COLUMNS
-        if self.method in ("sobol", "saltelli") and self.number > most:
-            rule = f"{self.method!r} draws at most {most} numbers in each environment, got {self.number}"
+        max_count = MOST_COLUMNS // 2 if self.method == "saltelli" else MOST_COLUMNS
+        if self.method in ("sobol", "saltelli") and self.number > max_count:
+            rule = f"{self.method!r} draws at most {max_count} numbers in each environment, got {self.number}"
             self.problems.add("sampling.method", f": {rule}")
             return independent
         if self.method == "saltelli":

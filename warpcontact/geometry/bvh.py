@@ -71,7 +71,7 @@ def build_bvh(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> FaceB
     order = _split_faces(((corner[:, 0] + corner[:, 1] + corner[:, 2]) / 3.0).T, width, levels)
     empty, filled = order >= count, order.clip(max=count - 1)
     # Error bound of vertices in float32.
-    off = 2.0 * float(np.finfo(np.float32).eps) * float(np.abs(corner).max())
+    rounding = 2.0 * float(np.finfo(np.float32).eps) * float(np.abs(corner).max())
     points = np.ascontiguousarray(corner[filled].transpose(2, 1, 0))  # (3, K, N)
     normals = np.ascontiguousarray(normal[filled].T)  # (3, N)
     bounds: list[NDArray[np.float32]] = []
@@ -88,7 +88,7 @@ def build_bvh(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> FaceB
         parts = [slice(k, k + BATCH) for k in range(0, len(empty), BATCH)]
         boxed = BRANCHES * points.shape[1] > MAX_POINTS
         own = [
-            _bounding_disks(np.ascontiguousarray(points[:, :, part]), normals[:, part], off, boxed)
+            _bounding_disks(np.ascontiguousarray(points[:, :, part]), normals[:, part], rounding, boxed)
             for part in parts
         ]
         disks = np.concatenate([part for part, _ in own], axis=1)

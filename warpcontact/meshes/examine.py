@@ -134,13 +134,15 @@ def examine(
     return replace(report, warnings=warnings_of(report), notes=notes_of(report))
 
 
-def _problem(bad: npt.NDArray[np.bool], noun: str, what: str, describe: Callable[[int], str], allowed: str) -> str:
-    """Returns a sentence about the ``bad`` entries; empty if there are none."""
-    count = int(bad.sum())
+def _problem(
+    invalid: npt.NDArray[np.bool], noun: str, what: str, describe: Callable[[int], str], allowed: str
+) -> str:
+    """Returns a sentence about the ``invalid`` entries; empty if there are none."""
+    count = int(invalid.sum())
     if not count:
         return ""
-    verb, first = "is" if count == 1 else "are", describe(int(bad.argmax()))
-    return f"{count} of {len(bad)} {noun} {verb} {what}, first: {first}; allowed: {allowed}"
+    verb, first = "is" if count == 1 else "are", describe(int(invalid.argmax()))
+    return f"{count} of {len(invalid)} {noun} {verb} {what}, first: {first}; allowed: {allowed}"
 
 
 def _array(

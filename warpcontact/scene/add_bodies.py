@@ -307,8 +307,8 @@ def _along(axis: Array, vectors: Array) -> Array:
 
 
 def _refuse(body: Body, key: str, given: Array, allowed: Array, rule: str) -> None:
-    off = np.linalg.norm(given - allowed, axis=1) > VELOCITY_TOLERANCE * np.linalg.norm(given, axis=1)
-    if off.any():
-        kind, worst = type(body.motion).__name__, int(np.argmax(off))
+    violates_joint = np.linalg.norm(given - allowed, axis=1) > VELOCITY_TOLERANCE * np.linalg.norm(given, axis=1)
+    if violates_joint.any():
+        kind, worst = type(body.motion).__name__, int(np.argmax(violates_joint))
         word = key if body.single else f"{key.removesuffix('y')}ies[{worst}]"
         raise ValueError(f"{body.name}.{word} must be {rule} its motion {kind}, got {given[worst].tolist()}")

@@ -63,12 +63,12 @@ def _check_times(name: str, times: NDArray[Any]) -> None:
     _raise_for_first(name, times, ~(np.isfinite(times) & (times >= 0.0)), "a time of at least 0 s")
 
 
-def _raise_for_first(name: str, values: NDArray[Any], bad: NDArray[np.bool_], condition: str) -> None:
-    """Raises ``CheckpointError`` for the first of ``values`` that is ``bad``."""
-    if bad.any():
-        place = tuple(np.argwhere(bad)[0])
-        entry = f"{name}[{', '.join(map(str, place))}]"
-        raise CheckpointError(f"{entry} must be {condition}, got {values[place].tolist()}")
+def _raise_for_first(name: str, values: NDArray[Any], invalid: NDArray[np.bool_], condition: str) -> None:
+    """Raises ``CheckpointError`` for the first of ``values`` that is ``invalid``."""
+    if invalid.any():
+        index = tuple(np.argwhere(invalid)[0])
+        entry = f"{name}[{', '.join(map(str, index))}]"
+        raise CheckpointError(f"{entry} must be {condition}, got {values[index].tolist()}")
 
 
 class ParameterValues:

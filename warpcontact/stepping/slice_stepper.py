@@ -345,7 +345,7 @@ class Stepper:
 
     def _graphs_for(self, chunk: StepChunk) -> Iterator[tuple[StepChunk, int]]:
         """Yields the graphs of a chunk, each with the number of steps to set for its multi-step launch (or 0)."""
-        count, most = chunk.steps, self.graph_steps[0]
+        count, graph_steps = chunk.steps, self.graph_steps[0]
         if self.multi_step:
             # One graph for any number of steps. A first step that reuses the contacts of an evaluation has its own
             # launches in it.
@@ -354,12 +354,12 @@ class Stepper:
                 max(0, count - chunk.after_evaluation),
             )
             return
-        if chunk.after_evaluation and chunk.evaluates and count <= MAX_FRAME_GRAPHS * most:
+        if chunk.after_evaluation and chunk.evaluates and count <= MAX_FRAME_GRAPHS * graph_steps:
             # Steps from frame to frame: one graph, because each graph launch has a cost in Python.
             yield chunk, 0
             return
         if chunk.after_evaluation and count:
-            first = count % most or most
+            first = count % graph_steps or graph_steps
             yield StepChunk(first, after_evaluation=True), 0
             count -= first
         for steps in self.graph_steps:

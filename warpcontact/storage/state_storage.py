@@ -141,15 +141,15 @@ def _field(values: NDArray[Any], path: str) -> NDArray[Any]:
 def _check(path: str, values: NDArray[Any], allowed: Allowed, shape: tuple[int, ...]) -> None:
     """Raises ``ValueError`` if one of ``values`` (shape, …) is not allowed; the message names the first one."""
     if isinstance(allowed, frozenset):
-        bad, condition = ~np.isin(values, list(allowed)), f"one of {sorted(allowed)}"
+        invalid, condition = ~np.isin(values, list(allowed)), f"one of {sorted(allowed)}"
     else:
         low, high = (np.broadcast_to(limit, shape) for limit in allowed)
         more = (...,) + (None,) * (values.ndim - len(shape))
-        bad, condition = (values < low[more]) | (values > high[more]), ""
-    if not bad.any():
+        invalid, condition = (values < low[more]) | (values > high[more]), ""
+    if not invalid.any():
         return
-    place = tuple(np.argwhere(bad)[0])
+    index = tuple(np.argwhere(invalid)[0])
     if not condition:
-        own = place[: len(shape)]
+        own = index[: len(shape)]
         condition = f"from {low[own]} to {high[own]}"
-    raise ValueError(f"{path}[{', '.join(map(str, place))}] must be {condition}, got {values[place]}")
+    raise ValueError(f"{path}[{', '.join(map(str, index))}] must be {condition}, got {values[index]}")

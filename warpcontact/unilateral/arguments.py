@@ -30,9 +30,9 @@ def values(name: str, given: ArrayLike, at_least: float = -np.inf) -> Array:
     if array is None:
         raise ValueError(f"{name} must be numbers, got {_brief(given)}")
     array = array.astype(np.float64)
-    bad = np.argwhere(~np.isfinite(array) | (array < at_least))
-    if len(bad):
-        where = tuple(int(i) for i in bad[0])
+    invalid = np.argwhere(~np.isfinite(array) | (array < at_least))
+    if len(invalid):
+        where = tuple(int(i) for i in invalid[0])
         allowed = "finite" if at_least == -np.inf else f"finite and at least {at_least:g}"
         raise ValueError(f"{name}{list(where) if where else ''} must be {allowed}, got {array[where]:g}")
     return array
@@ -64,10 +64,10 @@ def stiffness(given: Any) -> Any:
         K = given.tocsc().astype(np.float64)
         if K.ndim != 2 or K.shape[0] != K.shape[1] or not K.shape[0]:
             raise ValueError(f"K must be square, got a sparse matrix of shape {K.shape}")
-        bad = np.flatnonzero(~np.isfinite(K.data))
-        if len(bad):
-            row, column = K.indices[bad[0]], np.searchsorted(K.indptr, bad[0], side="right") - 1
-            raise ValueError(f"K[{row}, {column}] must be finite, got {K.data[bad[0]]:g}")
+        invalid = np.flatnonzero(~np.isfinite(K.data))
+        if len(invalid):
+            row, column = K.indices[invalid[0]], np.searchsorted(K.indptr, invalid[0], side="right") - 1
+            raise ValueError(f"K[{row}, {column}] must be finite, got {K.data[invalid[0]]:g}")
         skew, size = abs(K - K.T).tocoo(), abs(K)
         if skew.nnz and skew.data.max() > _SKEW * size.max():
             worst = int(np.argmax(skew.data))
@@ -91,9 +91,9 @@ def symmetric(name: str, array: Array, size: str) -> Array:
     if np.array_equal(array, turned):
         return array
     skew, largest = np.abs(array - turned).max(axis=(-1, -2)), np.abs(array).max(axis=(-1, -2))
-    bad = np.argwhere(skew > _SKEW * largest)
-    if len(bad):
-        where = tuple(int(i) for i in bad[0])
+    invalid = np.argwhere(skew > _SKEW * largest)
+    if len(invalid):
+        where = tuple(int(i) for i in invalid[0])
         one = array[where]
         i, j = (int(k) for k in np.unravel_index(np.argmax(np.abs(one - one.T)), one.shape))
         entry = f"{name}{list(where) if where else ''}"

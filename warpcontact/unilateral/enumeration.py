@@ -110,18 +110,22 @@ def solve_all(matrix: Array, right_side: Array) -> Array:
     """Returns the solutions of many systems; for a consistent singular system, the solution of least norm."""
     try:
         found = _solved(matrix, right_side)
-        bad = ~np.isfinite(found).all(axis=1)
+        invalid = ~np.isfinite(found).all(axis=1)
         # A solution this large indicates a matrix that is singular to rounding.
-        bad |= np.abs(found).max(axis=1, initial=0.0) > _LARGE * np.abs(right_side).max(axis=1, initial=0.0)
+        invalid |= np.abs(found).max(axis=1, initial=0.0) > _LARGE * np.abs(right_side).max(axis=1, initial=0.0)
     except np.linalg.LinAlgError:
-        found, bad = np.zeros(right_side.shape), np.ones(len(right_side), dtype=bool)
-    if bad.any():
-        inverse = np.linalg.pinv(matrix[bad], rcond=1e-12)
-        found[bad] = (inverse @ right_side[bad][..., None])[..., 0]
-        found[bad] += (inverse @ (right_side[bad] - _times(matrix[bad], found[bad]))[..., None])[..., 0]
-    if not bad.all():
+        found, invalid = np.zeros(right_side.shape), np.ones(len(right_side), dtype=bool)
+    if invalid.any():
+        inverse = np.linalg.pinv(matrix[invalid], rcond=1e-12)
+        found[invalid] = (inverse @ right_side[invalid][..., None])[..., 0]
+        found[invalid] += (inverse @ (right_side[invalid] - _times(matrix[invalid], found[invalid]))[..., None])[
+            ..., 0
+        ]
+    if not invalid.all():
         # Refinement: small entries of the right side get the same relative accuracy as large ones.
-        found[~bad] += _solved(matrix[~bad], right_side[~bad] - _times(matrix[~bad], found[~bad]))
+        found[~invalid] += _solved(
+            matrix[~invalid], right_side[~invalid] - _times(matrix[~invalid], found[~invalid])
+        )
     return found
 
 

@@ -293,19 +293,19 @@ def refine(problem: ScaledProblem, u: Array, lam: Array) -> tuple[Array, Array, 
     sticking or slipping. For a singular system it takes a small change. The right side is computed from u and λ
     themselves, so each step also refines the previous one.
     """
-    best_u, best_lam, least = u, lam, problem.residual(u, lam)
+    best_u, best_lam, smallest_residual = u, lam, problem.residual(u, lam)
     for _ in range(_STEPS):
         change = _step(problem, u, lam)
         if change is None:
             break
         u, lam = u + change[0], lam + change[1]
-        inside, before = _into_cone(problem.mu, lam), least
+        inside, before = _into_cone(problem.mu, lam), smallest_residual
         found = problem.residual(u, inside)
-        if found < least:
-            best_u, best_lam, least = u, inside, found
-        if least <= _ROUNDING or (before <= _LAST_STEP_BELOW and found > 0.5 * before):
+        if found < smallest_residual:
+            best_u, best_lam, smallest_residual = u, inside, found
+        if smallest_residual <= _ROUNDING or (before <= _LAST_STEP_BELOW and found > 0.5 * before):
             break
-    return best_u, best_lam, least
+    return best_u, best_lam, smallest_residual
 
 
 def _step(problem: ScaledProblem, u: Array, lam: Array) -> tuple[Array, Array] | None:
@@ -319,12 +319,12 @@ def _step(problem: ScaledProblem, u: Array, lam: Array) -> tuple[Array, Array] |
     change = -lam
     rows = problem.G[closed].reshape(len(closed) * dim, n)
     A, B, right = _linearized_law(problem, lam, w, z, rho, closed)
-    off = problem.f - problem.K @ u - problem.flat_rows().T @ lam.reshape(-1)
+    residual = problem.f - problem.K @ u - problem.flat_rows().T @ lam.reshape(-1)
     # Forces of open contacts vanish.
     is_open = np.ones(problem.contacts, dtype=bool)
     is_open[closed] = False
-    off = off + problem.G[is_open].reshape(-1, n).T @ lam[is_open].reshape(-1)
-    right_side = np.concatenate([off, right.reshape(-1)])
+    residual = residual + problem.G[is_open].reshape(-1, n).T @ lam[is_open].reshape(-1)
+    right_side = np.concatenate([residual, right.reshape(-1)])
     if not (np.isfinite(right_side).all() and np.isfinite(A).all() and np.isfinite(B).all()):
         return None
     x = _solve(problem.K, rows, A, B, right_side)

@@ -275,8 +275,8 @@ def _by_proximal_steps(
             return
         if options.method == "projection":
             # If more Newton steps are needed, they cycle.
-            most = _NEWTON_STEPS[scaled.dim > 1]
-            remaining = most if remaining is None else min(remaining, most)
+            max_steps = _NEWTON_STEPS[scaled.dim > 1]
+            remaining = max_steps if remaining is None else min(remaining, max_steps)
         added = relative_stiffness / scaled.scale**2
         proximal.K, proximal.f = _with_diagonal(problem.K, added), f + added * u
         try:

@@ -47,9 +47,9 @@ def check_usd(path: str | Path) -> list[str]:
     found = [f"{_site(error)}: {error.GetMessage()}" for error in messages]
     for layer in stage.GetUsedLayers(includeClipLayers=True):
         # USD keeps time samples sorted, which non-finite times cannot be.
-        bad = [code for code in layer.ListAllTimeSamples() if not np.isfinite(code)]
+        invalid = [code for code in layer.ListAllTimeSamples() if not np.isfinite(code)]
         found += [
-            f"/: time samples must be at finite times, got {code} in {layer.GetDisplayName()}" for code in bad
+            f"/: time samples must be at finite times, got {code} in {layer.GetDisplayName()}" for code in invalid
         ]
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)):
         for check in _CHECKS:
@@ -102,9 +102,9 @@ def _finite(prim: Any) -> Iterator[str]:
             numbers = _numbers(value)
             if numbers is None:
                 continue
-            bad = np.isnan(numbers) if may_be_infinite else ~np.isfinite(numbers)
-            if bad.any():
-                yield f"{name}{where} must be finite, got {numbers[bad].flat[0]}"
+            invalid = np.isnan(numbers) if may_be_infinite else ~np.isfinite(numbers)
+            if invalid.any():
+                yield f"{name}{where} must be finite, got {numbers[invalid].flat[0]}"
                 break
 
 
@@ -123,9 +123,9 @@ def _quaternions(prim: Any) -> Iterator[str]:
             # A zero quaternion means that principal axes are not given; it is the fallback of UsdPhysics.
             if attribute.GetName() == "physics:principalAxes" and not length.any():
                 continue
-            off = np.abs(length - 1.0)
-            if not (off <= allowed).all():
-                yield f"{attribute.GetName()}{where} must be of unit length, got {length[np.argmax(off)]:g}"
+            deviation = np.abs(length - 1.0)
+            if not (deviation <= allowed).all():
+                yield f"{attribute.GetName()}{where} must be of unit length, got {length[np.argmax(deviation)]:g}"
                 break
 
 

@@ -102,9 +102,9 @@ def unit_quaternions(name: str, value: Array) -> Array:
         ValueError: If a length differs from 1 by more than 1e-3, which is more than rounding errors.
     """
     length = np.linalg.norm(value, axis=-1)
-    bad = np.argwhere(np.abs(length - 1.0) > 1.0e-3)
-    if len(bad):
-        where = tuple(bad[0])
+    invalid = np.argwhere(np.abs(length - 1.0) > 1.0e-3)
+    if len(invalid):
+        where = tuple(invalid[0])
         raise ValueError(
             f"{name}{list(map(int, where)) if where else ''} must be a unit quaternion (x, y, z, w), "
             f"got {value[where].tolist()} of length {length[where]:g}"
@@ -114,9 +114,9 @@ def unit_quaternions(name: str, value: Array) -> Array:
 
 def switches(name: str, value: Array) -> Array:
     """Returns ``value`` if all entries are 0 or 1, or raises ``ValueError``."""
-    bad = np.argwhere((value != 0.0) & (value != 1.0))
-    if len(bad):
-        raise ValueError(f"{name}{list(map(int, bad[0]))} must be 0 or 1, got {value[tuple(bad[0])]:g}")
+    invalid = np.argwhere((value != 0.0) & (value != 1.0))
+    if len(invalid):
+        raise ValueError(f"{name}{list(map(int, invalid[0]))} must be 0 or 1, got {value[tuple(invalid[0])]:g}")
     return value
 
 
@@ -159,12 +159,12 @@ def inertia_tensors(name: str, value: Array) -> Array:
     return symmetric
 
 
-def _raise_for_first(name: str, value: Array, bad: NDArray[np.bool_], allowed: str) -> None:
-    where = np.argwhere(bad)
+def _raise_for_first(name: str, value: Array, invalid: NDArray[np.bool_], allowed: str) -> None:
+    where = np.argwhere(invalid)
     if len(where):
         index = tuple(where[0])
         # The last axes have length 1 if the user gave none; omit their indices.
-        axes = max((axis + 1 for axis, length in enumerate(bad.shape) if length > 1), default=0)
+        axes = max((axis + 1 for axis, length in enumerate(invalid.shape) if length > 1), default=0)
         entry = f"{name}{list(map(int, index[:axes])) or ''}"
         raise ValueError(f"{entry} must be {allowed}, got {value[index].tolist()}")
 

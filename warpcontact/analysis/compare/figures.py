@@ -71,9 +71,9 @@ def legend_below(figure: Any, colors: Sequence[Any], names: Sequence[str]) -> No
     """Adds a legend below all panels of ``figure``, with as few rows as fit."""
     lines = [Line2D([], [], color=shade) for shade in colors]
     widest = LETTER * max(map(len, names)) + LINE
-    most = max(1, int(figure.bbox.width / figure.dpi / widest))
+    max_columns = max(1, int(figure.bbox.width / figure.dpi / widest))
     # Balance the rows: five entries in two rows are three and two, not four and one.
-    columns = -(-len(names) // -(-len(names) // most))
+    columns = -(-len(names) // -(-len(names) // max_columns))
     figure.legend(lines, names, loc="outside lower center", ncols=columns, frameon=False)
 
 

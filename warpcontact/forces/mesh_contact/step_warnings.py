@@ -121,9 +121,9 @@ def _simultaneous_stiffness(
     """
     if contact.points.spread:
         return stiffness
-    most = stiffness.max(axis=1, keepdims=True)
+    largest = stiffness.max(axis=1, keepdims=True)
     if contact.count == 1:
-        return most
+        return largest
     places, surface = contact.points.places, contact.surface
     size = float(surface.scale * max(np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in surface.meshes))
     for direction in (*np.eye(3), *-np.eye(3)):
@@ -133,11 +133,11 @@ def _simultaneous_stiffness(
         spread = np.maximum.accumulate(places[order]) - np.minimum.accumulate(places[order])
         width = np.linalg.norm(spread, axis=1)
         covered_fraction = np.where(width > size, size / np.maximum(width, size), 1.0) ** 2
-        total = np.maximum(np.cumsum(stiffness[:, order], axis=1) * covered_fraction, most)
+        total = np.maximum(np.cumsum(stiffness[:, order], axis=1) * covered_fraction, largest)
         sinking = greatest_penetration(total, exponent[:, order], mass, speed)
         last = np.argmax(sinking <= next_height, axis=1)
-        most = np.maximum(most, np.take_along_axis(total, last[:, None], axis=1))
-    return most
+        largest = np.maximum(largest, np.take_along_axis(total, last[:, None], axis=1))
+    return largest
 
 
 def _max_depth_warnings(model: "Environments", contact: "Contact", speed: Array, dt: float) -> list[str]:

@@ -498,10 +498,10 @@ class ParticleContactSet(ForceElement):
         Raises:
             RuntimeError: If one was too short.
         """
-        most = int(self.cell_list.overflow.numpy().max(initial=0))
-        if most > 0:
+        needed = int(self.cell_list.overflow.numpy().max(initial=0))
+        if needed > 0:
             raise RuntimeError(
-                f"{self.contact.name}: a particle had {most} neighbors more than its list can hold, and their forces "
+                f"{self.contact.name}: a particle had {needed} neighbors more than its list can hold, and their forces "
                 "are missing. Increase max_neighbors in add_particle_contact, or reduce skin (now "
                 f"{self.contact.skin:g} m)"
             )

@@ -237,9 +237,9 @@ def _mesh(prim: Any, time: Any, most_faces: int) -> dict[str, Any]:
         raise InvalidValue(
             f"the mesh has {len(counts)} faces or more; allowed: {most_faces} triangles, see Limits"
         )
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if len(bad):
-        raise InvalidValue(f"points[{bad[0]}] must be finite, got {vertices[bad[0]].tolist()}")
+    invalid = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(invalid):
+        raise InvalidValue(f"points[{invalid[0]}] must be finite, got {vertices[invalid[0]].tolist()}")
     outside = np.flatnonzero((corners < 0) | (corners >= len(vertices)))
     if len(outside):
         got = corners[outside[0]]
