@@ -212,7 +212,7 @@ class Structs(NamedTuple):
     CouplingExtremes: Struct  # closest approach of contact couplings
     ActiveContacts: Struct  # contacts that later stages process, and wrenches of clusters
     Cache: Struct  # distances cached from earlier steps
-    CouplingWrenches: Struct  # wrenches of couplings
+    EndWrenches: Struct  # wrenches at the ends of couplings and shape contacts
     Wrenches: Struct  # wrenches on bodies
     NormalState: Struct  # arguments of a normal law
     TangentialState: Struct  # arguments of a friction model
@@ -433,8 +433,8 @@ def structs(real: type) -> Structs:
         gradient: wp.array2d(dtype=vec3)  # [env, contact × capacity] gradient of that distance, unit or zero, S
 
     @wp.struct
-    class CouplingWrenches:
-        """Wrenches of couplings on the bodies at their ends; for an end on the world, on the world."""
+    class EndWrenches:
+        """Wrenches of couplings and shape contacts on the bodies at their ends; for an end on the world, on the world."""
 
         force: wp.array2d(dtype=vec3)  # [env, end] on the body of the end, W [N]
         torque: wp.array2d(dtype=vec3)  # [env, end] about the center of mass (world: the anchor), W [N·m]
@@ -480,7 +480,7 @@ def structs(real: type) -> Structs:
         CouplingExtremes=CouplingExtremes,
         ActiveContacts=ActiveContacts,
         Cache=Cache,
-        CouplingWrenches=CouplingWrenches,
+        EndWrenches=EndWrenches,
         Wrenches=Wrenches,
         NormalState=NormalState,
         TangentialState=TangentialState,

@@ -98,7 +98,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
         has_joints: Whether the effective mass includes the joints of bodies.
     """
     t = structs(real)
-    quat, Model, State, CouplingWrenches = t.quat, t.Model, t.State, t.CouplingWrenches
+    quat, Model, State, EndWrenches = t.quat, t.Model, t.State, t.EndWrenches
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
@@ -128,7 +128,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
         patches_in: Patches,
         patches_out: Patches,
         body_contacts: BodyContacts,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)

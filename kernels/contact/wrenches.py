@@ -44,7 +44,7 @@ def functions(real: type, has_ends: bool, has_external_forces: bool) -> Function
         has_external_forces: Whether there are external forces.
     """
     t = structs(real)
-    vec3, Model, ActiveContacts, CouplingWrenches = t.vec3, t.Model, t.ActiveContacts, t.CouplingWrenches
+    vec3, Model, ActiveContacts, EndWrenches = t.vec3, t.Model, t.ActiveContacts, t.EndWrenches
 
     @wp.struct
     class Wrench:
@@ -52,7 +52,7 @@ def functions(real: type, has_ends: bool, has_external_forces: bool) -> Function
         torque: vec3  # about the center of mass, W [N·m]
 
     @wp.func
-    def external_wrench(model: Model, ends: CouplingWrenches, env: int, body: int):
+    def external_wrench(model: Model, ends: EndWrenches, env: int, body: int):
         wrench = Wrench()
         if wp.static(has_external_forces):
             wrench.force = model.body_external_force[env, body]
@@ -65,7 +65,7 @@ def functions(real: type, has_ends: bool, has_external_forces: bool) -> Function
         return wrench
 
     @wp.func
-    def body_wrench(model: Model, active_contacts: ActiveContacts, ends: CouplingWrenches, env: int, body: int):
+    def body_wrench(model: Model, active_contacts: ActiveContacts, ends: EndWrenches, env: int, body: int):
         """Returns the wrench on a body; the fixed order of clusters makes runs bitwise reproducible."""
         wrench = external_wrench(model, ends, env, body)
         index = assume_nonnegative(model.body_cluster_start[body])
@@ -99,7 +99,7 @@ def initialize_wrenches(real: type, has_ends: bool = False, has_external_forces:
         has_external_forces: Whether there are external forces.
     """
     t = structs(real)
-    Model, CouplingWrenches, Wrenches = t.Model, t.CouplingWrenches, t.Wrenches
+    Model, EndWrenches, Wrenches = t.Model, t.EndWrenches, t.Wrenches
     external_wrench = functions(real, has_ends, has_external_forces).external_wrench
 
     @unique_kernel()
@@ -108,7 +108,7 @@ def initialize_wrenches(real: type, has_ends: bool = False, has_external_forces:
         status: wp.array(dtype=wp.int32),
         queue_count: wp.array(dtype=wp.int32),
         model: Model,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
         wrenches: Wrenches,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
@@ -134,7 +134,7 @@ def sum_by_body(real: type, has_ends: bool = False, has_external_forces: bool = 
     Arguments are those of ``initialize_wrenches``.
     """
     t = structs(real)
-    Model, ActiveContacts, CouplingWrenches, Wrenches = t.Model, t.ActiveContacts, t.CouplingWrenches, t.Wrenches
+    Model, ActiveContacts, EndWrenches, Wrenches = t.Model, t.ActiveContacts, t.EndWrenches, t.Wrenches
     body_wrench = functions(real, has_ends, has_external_forces).body_wrench
 
     @unique_kernel()
@@ -144,7 +144,7 @@ def sum_by_body(real: type, has_ends: bool = False, has_external_forces: bool = 
         queue_count: wp.array(dtype=wp.int32),
         model: Model,
         active_contacts: ActiveContacts,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
         wrenches: Wrenches,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):

@@ -62,7 +62,7 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     s = bushing_structs(real)
-    vec3, Model, State, CouplingWrenches = t.vec3, t.Model, t.State, t.CouplingWrenches
+    vec3, Model, State, EndWrenches = t.vec3, t.Model, t.State, t.EndWrenches
     Settings, Bushings = s.Settings, s.Bushings
     end = ends.functions(real)
     arm, separation, velocity = end.arm, end.separation, end.velocity
@@ -84,7 +84,7 @@ def kernel(real: type) -> wp.Kernel:
         first: wp.int32,  # coupling
         settings: wp.array2d(dtype=Settings),
         bushings: Bushings,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)

@@ -171,12 +171,12 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
     result is written to ``new_solution``.
     """
     t = structs(real)
-    vec2, Model, State, CouplingWrenches = wp.vec2d, t.Model, t.State, t.CouplingWrenches
+    vec2, Model, State, EndWrenches = wp.vec2d, t.Model, t.State, t.EndWrenches
     Lines = line_structs(real).Lines
     placing = placement(real, floored)
     point_position, vertical_plane = placing.point_position, placing.vertical_plane
     end = ends.functions(real)
-    arm, pull = end.arm, end.pull
+    arm, write_end_force = end.arm, end.write_end_force
     from_float64 = frames.functions(real).from_float64
 
     @unique_kernel()
@@ -190,7 +190,7 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
         last_solution: CatenarySolution,
         new_solution: CatenarySolution,
         lines: Lines,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
@@ -296,14 +296,14 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
             on_high = -along - high * unit * plane.up
             dip = lowest * line_settings.length
             if plane.b_is_lower == 1:
-                pull(ends, env, end_a, arm_a, from_float64(on_high))
-                pull(ends, env, end_a + 1, arm_b, from_float64(on_low))
+                write_end_force(ends, env, end_a, arm_a, from_float64(on_high))
+                write_end_force(ends, env, end_a + 1, arm_b, from_float64(on_low))
                 lines.tension_a[env, line] = real(tension_high * unit)
                 lines.tension_b[env, line] = real(tension_low * unit)
                 dip += plane.rise
             else:
-                pull(ends, env, end_a, arm_a, from_float64(on_low))
-                pull(ends, env, end_a + 1, arm_b, from_float64(on_high))
+                write_end_force(ends, env, end_a, arm_a, from_float64(on_low))
+                write_end_force(ends, env, end_a + 1, arm_b, from_float64(on_high))
                 lines.tension_a[env, line] = real(tension_low * unit)
                 lines.tension_b[env, line] = real(tension_high * unit)
             lines.horizontal_tension[env, line] = real(h * unit)

@@ -14,7 +14,7 @@ class Functions(NamedTuple):
     arm: wp.Function  # arm of a point, W [m]
     separation: wp.Function  # vector from the first point to the second, W [m]
     velocity: wp.Function  # velocity of a point, W [m/s]
-    pull: wp.Function  # writes a force at an end and its torque
+    write_end_force: wp.Function  # writes a force at an end and its torque
 
 
 @functools.cache
@@ -25,7 +25,7 @@ def functions(real: type) -> Functions:
     [m].
     """
     t = structs(real)
-    vec3, Model, State, CouplingWrenches = t.vec3, t.Model, t.State, t.CouplingWrenches
+    vec3, Model, State, EndWrenches = t.vec3, t.Model, t.State, t.EndWrenches
     frame = frames.functions(real)
     rotate_to_world, velocity_at = frame.rotate_to_world, frame.velocity_at
 
@@ -57,9 +57,9 @@ def functions(real: type) -> Functions:
         return velocity_at(state, env, model.point_body[point], arm_W)
 
     @wp.func
-    def pull(ends: CouplingWrenches, env: int, end: int, arm_W: vec3, force_W: vec3):
+    def write_end_force(ends: EndWrenches, env: int, end: int, arm_W: vec3, force_W: vec3):
         """Writes a force at an end and its torque."""
         ends.force[env, end] = force_W
         ends.torque[env, end] = wp.cross(arm_W, force_W)
 
-    return Functions(arm=arm, separation=separation, velocity=velocity, pull=pull)
+    return Functions(arm=arm, separation=separation, velocity=velocity, write_end_force=write_end_force)

@@ -165,13 +165,13 @@ def kernel(parts: SpringModel, real: type) -> wp.Kernel:
     """
     t = structs(real)
     s = spring_structs(real)
-    Model, State, CouplingWrenches = t.Model, t.State, t.CouplingWrenches
+    Model, State, EndWrenches = t.Model, t.State, t.EndWrenches
     Springs, Stretch, Tables = s.Springs, s.Stretch, s.Tables
     Coefficients = coefficient_structs(parts, real)
     spring_force, spring_outside = _device_functions(parts.spring, real)
     damper_force, damper_outside = _device_functions(parts.damper, real)
     end = ends.functions(real)
-    arm, separation, velocity, pull = end.arm, end.separation, end.velocity, end.pull
+    arm, separation, velocity, write_end_force = end.arm, end.separation, end.velocity, end.write_end_force
     # Relative distance below which the direction is dominated by rounding.
     rounding = wp.constant(real(8.0 * t.epsilon))
 
@@ -186,7 +186,7 @@ def kernel(parts: SpringModel, real: type) -> wp.Kernel:
         spring_tables: Tables,
         damper_tables: Tables,
         springs: Springs,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
@@ -240,8 +240,8 @@ def kernel(parts: SpringModel, real: type) -> wp.Kernel:
             springs.force[env, spring] = total
             springs.status[env, spring] = coupling_status
             springs.direction[env, spring] = direction
-            pull(ends, env, end_1, arm_1, total * direction)
-            pull(ends, env, end_1 + 1, arm_2, -total * direction)
+            write_end_force(ends, env, end_1, arm_1, total * direction)
+            write_end_force(ends, env, end_1 + 1, arm_2, -total * direction)
 
     return spring_forces
 

@@ -141,12 +141,12 @@ def semi_implicit_euler(
     advances the history.
     """
     t = structs(real)
-    vec3, Model, State, ActiveContacts, CouplingWrenches, Wrenches = (
+    vec3, Model, State, ActiveContacts, EndWrenches, Wrenches = (
         t.vec3,
         t.Model,
         t.State,
         t.ActiveContacts,
-        t.CouplingWrenches,
+        t.EndWrenches,
         t.Wrenches,
     )
     sums = sources is not None
@@ -191,7 +191,7 @@ def semi_implicit_euler(
         state_in: State,
         queue_count: wp.array(dtype=wp.int32),
         active_contacts: ActiveContacts,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
         particles: Particles,
         neighbor_lists: NeighborLists,
         pair_records: PairRecords,

@@ -257,7 +257,7 @@ def kernel(
         lanes: Threads of a warp.
     """
     t = structs(real)
-    vec3, Model, State, History, Contacts, ActiveContacts, Cache, CouplingWrenches = (
+    vec3, Model, State, History, Contacts, ActiveContacts, Cache, EndWrenches = (
         t.vec3,
         t.Model,
         t.State,
@@ -265,7 +265,7 @@ def kernel(
         t.Contacts,
         t.ActiveContacts,
         t.Cache,
-        t.CouplingWrenches,
+        t.EndWrenches,
     )
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     set_functions = _functions(contact_model, real, projected, width)
@@ -320,7 +320,7 @@ def kernel(
         contacts: Contacts,
         active_contacts: ActiveContacts,
         cache: Cache,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
         state_out: State,
     ):
         lane = warps.lane()

@@ -40,14 +40,14 @@ def kernel(contact_model: ContactModel, real: type, projected: bool, has_externa
         has_external_forces: Whether there are external forces.
     """
     t = structs(real)
-    Model, State, History, Contacts, ActiveContacts, Cache, CouplingWrenches = (
+    Model, State, History, Contacts, ActiveContacts, Cache, EndWrenches = (
         t.Model,
         t.State,
         t.History,
         t.Contacts,
         t.ActiveContacts,
         t.Cache,
-        t.CouplingWrenches,
+        t.EndWrenches,
     )
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     update_set = fused_contact.set_function(contact_model, real, False, projected)
@@ -113,7 +113,7 @@ def kernel(contact_model: ContactModel, real: type, projected: bool, has_externa
         contacts: Contacts,
         active_contacts: ActiveContacts,
         cache: Cache,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
         sets: wp.int32,
         clusters: wp.int32,
         state: State,

@@ -44,7 +44,7 @@ def contact_forces(parts: ContactModel, real: type, has_joints: bool = False) ->
     With ``has_joints``, the effective mass accounts for the joints of bodies.
     """
     t = structs(real)
-    vec3, quat, Model, State, CouplingWrenches = t.vec3, t.quat, t.Model, t.State, t.CouplingWrenches
+    vec3, quat, Model, State, EndWrenches = t.vec3, t.quat, t.Model, t.State, t.EndWrenches
     ShapeContacts = shape_contact_structs(real).ShapeContacts
     Coefficients, Memory = group_structs(parts, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
@@ -66,7 +66,7 @@ def contact_forces(parts: ContactModel, real: type, has_joints: bool = False) ->
         coefficients: Coefficients,
         shape_contacts: ShapeContacts,
         history_out: Memory,
-        ends: CouplingWrenches,
+        ends: EndWrenches,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)

@@ -33,7 +33,7 @@ class Magnets:
 def attract(real):
     """Returns the kernel of the forces in one precision; items: magnets."""
     t, points, Settings = structs(real), ends.functions(real), settings_struct(Magnet, real)
-    arm, separation, pull = points.arm, points.separation, points.pull
+    arm, separation, write_end_force = points.arm, points.separation, points.write_end_force
 
     @unique_kernel()
     def attract_poles(
@@ -44,7 +44,7 @@ def attract(real):
         first: wp.int32,
         settings: wp.array2d(dtype=Settings),
         magnets: Magnets,
-        wrenches: t.CouplingWrenches,
+        wrenches: t.EndWrenches,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
@@ -58,8 +58,8 @@ def attract(real):
             arm_b = arm(model, state, env, b)
             apart = separation(model, state, env, a, b, arm_a, arm_b)
             force = settings[env, item].strength / wp.length_sq(apart)
-            pull(wrenches, env, end, arm_a, force * wp.normalize(apart))
-            pull(wrenches, env, end + 1, arm_b, -force * wp.normalize(apart))
+            write_end_force(wrenches, env, end, arm_a, force * wp.normalize(apart))
+            write_end_force(wrenches, env, end + 1, arm_b, -force * wp.normalize(apart))
             magnets.force[env, item] = wp.float64(force)
 
     return attract_poles
@@ -104,7 +104,7 @@ class MagnetSet(PointPairSet):
             first=self.first,
             settings=self.settings,
             magnets=self.results,
-            wrenches=a.coupling_wrenches,
+            wrenches=a.end_wrenches,
         )
 
     def accept_launches(self, plan, dt, state_in):

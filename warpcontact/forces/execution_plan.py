@@ -207,7 +207,7 @@ def force_stages(
 
     launches = list(itertools.chain(*(one.detection_launches(plan, state, status) for one in elements)))
     launches += forces(ForceTarget.ENDS)
-    sums = {"queue_count": a.cache.queue_count, "ends": a.coupling_wrenches, "wrenches": a.wrenches}
+    sums = {"queue_count": a.cache.queue_count, "ends": a.end_wrenches, "wrenches": a.wrenches}
     if not ordered_sum:
         kernel = wrenches.initialize_wrenches(real, *plan.other_forces)
         launches += plan.prepare(kernel, model.body_count, status=status, model=a.model, **sums)
@@ -412,7 +412,7 @@ def _step_inputs(plan: ExecutionPlan, dt: StepLength, group: "ContactGroup") -> 
         "contacts": a.contacts,
         "active_contacts": a.active_contacts,
         "cache": a.cache,
-        "ends": a.coupling_wrenches,
+        "ends": a.end_wrenches,
         **group.material_inputs,
     }
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 class ForceTarget(Enum):
     """Arrays to which a force element writes, which decide when its launches run."""
 
-    #: Force and torque at its ends (``arrays.coupling_wrenches``), which are then summed per body, end by end.
+    #: Force and torque at its ends (``arrays.end_wrenches``), which are then summed per body, end by end.
     ENDS = "ends"
     #: Force and torques per cluster of contacts (``arrays.active_contacts``), which are then summed per body.
     CLUSTERS = "clusters"

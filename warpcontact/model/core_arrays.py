@@ -49,9 +49,7 @@ def declare_arrays(
         state=layout.struct("state", t.State, bodies),
         wrenches=layout.struct("state", t.Wrenches, bodies, transient=True),
         # The number of ends is known after all force elements are declared.
-        coupling_wrenches=layout.struct(
-            "couplings", t.CouplingWrenches, lambda envs: (envs, ends.count), transient=True
-        ),
+        end_wrenches=layout.struct("couplings", t.EndWrenches, lambda envs: (envs, ends.count), transient=True),
         history=layout.struct(
             "contacts",
             t.History,

@@ -202,13 +202,13 @@ class DeviceModel(Environments, ModelTraits):
             self.sensors.update((own.name, own) for own in nonsmooth.sensors())
         self._update_restitution_flag()
         # Force kernels do not write the entries of nonsmooth contacts.
-        active_contacts, coupling_wrenches = self.arrays.active_contacts, self.arrays.coupling_wrenches
+        active_contacts, end_wrenches = self.arrays.active_contacts, self.arrays.end_wrenches
         for array in (
             active_contacts.force,
             active_contacts.torque_1,
             active_contacts.torque_2,
-            coupling_wrenches.force,
-            coupling_wrenches.torque,
+            end_wrenches.force,
+            end_wrenches.torque,
         ):
             array.zero_()
         # Outputs of nonsmooth contacts that are open remain otherwise.

@@ -16,7 +16,7 @@ class ModelArrays:
         initial: Initial state (``State``).
         state: Current state (``State``).
         wrenches: Wrenches on bodies (``Wrenches``).
-        coupling_wrenches: Wrenches of couplings and shape contacts at their ends (``CouplingWrenches``).
+        end_wrenches: Wrenches of couplings and shape contacts at their ends (``EndWrenches``).
         history: History of contacts (``History``).
         contacts: Results of detection and forces of contacts (``Contacts``).
         active_contacts: Contacts that later stages process (``ActiveContacts``).
@@ -38,7 +38,7 @@ class ModelArrays:
     initial: Any
     state: Any
     wrenches: Any
-    coupling_wrenches: Any
+    end_wrenches: Any
     history: Any
     contacts: Any
     active_contacts: Any

@@ -177,7 +177,7 @@ class BodyContactSet(ForceElement):
             patches_in=self.patches,
             patches_out=self.patches_out,
             body_contacts=self.body_contacts,
-            ends=a.coupling_wrenches,
+            ends=a.end_wrenches,
         )
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:

@@ -84,7 +84,7 @@ class BushingSet(CouplingSet):
             first=self.first,
             settings=self.settings,
             bushings=self._bushings,
-            ends=plan.model.arrays.coupling_wrenches,
+            ends=plan.model.arrays.end_wrenches,
         )
 
 

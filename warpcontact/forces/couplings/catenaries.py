@@ -102,7 +102,7 @@ class CatenarySet(CouplingSet):
             last_solution=self._accepted_solution,
             new_solution=self._trial_solution,
             lines=self._lines,
-            ends=a.coupling_wrenches,
+            ends=a.end_wrenches,
         )
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:

@@ -141,4 +141,4 @@ class CouplingSet(ForceElement, ABC):
 
 
 def _column_of_ends(number: int) -> Callable[[ModelArrays], wp.array]:
-    return lambda arrays: arrays.coupling_wrenches.force[:, number]
+    return lambda arrays: arrays.end_wrenches.force[:, number]

@@ -154,7 +154,7 @@ class SpringSet(CouplingSet):
             spring_tables=spring_tables,
             damper_tables=damper_tables,
             springs=self._springs,
-            ends=a.coupling_wrenches,
+            ends=a.end_wrenches,
         )
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:

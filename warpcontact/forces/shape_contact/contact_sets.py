@@ -274,7 +274,7 @@ class ShapeContactSet(ForceElement):
                 first_end=self.first_end,
                 coefficients=self.coefficients,
                 history_out=self.history_out,
-                ends=a.coupling_wrenches,
+                ends=a.end_wrenches,
                 **inputs,
             )
         return launches

@@ -90,7 +90,7 @@ class SemiImplicitEuler(Integrator):
             queue_count=a.cache.queue_count,
             clusters=model.clusters.count,
             contact_history=a.history,
-            ends=a.coupling_wrenches,
+            ends=a.end_wrenches,
             # Without monitors, only bodies with joints or prescribed motion need the sum of wrenches in memory.
             write_outputs=plan.write_outputs or model.has_joints,
             wrenches=a.wrenches,

@@ -251,7 +251,7 @@ class Candidates:
             result[:, :3] = a.model.body_external_force.numpy()[env]
             result[:, 3:] = a.model.body_external_torque.numpy()[env]
         if self.coupling_sets:
-            force, torque = (getattr(a.coupling_wrenches, key).numpy()[env] for key in ("force", "torque"))
+            force, torque = (getattr(a.end_wrenches, key).numpy()[env] for key in ("force", "torque"))
             for couplings in self.coupling_sets:
                 ends = np.array(couplings.end_bodies)
                 own = slice(2 * couplings.first, 2 * couplings.first + len(ends))
