@@ -437,7 +437,7 @@ def test_launch_shape_equals_staged_steps_after_changes(name, cuda, monkeypatch)
 def test_gpu_run_is_repeated_bitwise(name, cuda, monkeypatch):
     first, second = (start(CASES[name], cuda, monkeypatch, staged=False) for _ in range(2))
     for sim in (first, second):
-        assert "clear_wrenches" not in step_kernels(sim)  # no atomic sums
+        assert "initialize_wrenches" not in step_kernels(sim)  # no atomic sums
         sim.step(STEPS)
     assert_equal(first, second)
 
@@ -446,7 +446,7 @@ def test_deterministic_gpu_run_of_many_clusters_is_repeated_bitwise(cuda, monkey
     """Wrenches of more than 16 clusters are summed with atomics, except in deterministic runs."""
     case = Case(small(box(300)), GRID)
     atomic = start(case, cuda, monkeypatch, staged=False)
-    assert "clear_wrenches" in step_kernels(atomic)
+    assert "initialize_wrenches" in step_kernels(atomic)
     first, second = (start(case, cuda, monkeypatch, staged=False, deterministic=True) for _ in range(2))
     staged = start(case, cuda, monkeypatch, staged=True)
     for sim in (first, second, staged):
