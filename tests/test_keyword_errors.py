@@ -27,7 +27,17 @@ MODULES = (
 # Types that only the package instantiates; exceptions, enumerations and modules.
 MADE_HERE = (
     *("BenchReport", "Body", "Bushing", "Catenary", "Contact", "ContactCoupling", "Health", "MeshReport", "Model"),
-    *("Points", "Recording", "Run", "Shape", "ShapeContact", "SplitModel", "SpringDamper", "Surface"),
+    *(
+        "Points",
+        "Recording",
+        "Run",
+        "Shape",
+        "ShapeContact",
+        "BodyContact",
+        "SplitModel",
+        "SpringDamper",
+        "Surface",
+    ),
     *("Component", "Integrator", "RepairStep", "SurfaceSamples", "check_path"),
     *("Assembly", "Diagnosis", "Equilibrium", "Event", "EventRun", "Solution"),
 )

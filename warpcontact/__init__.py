@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model.health import Health
     from warpcontact.model.quarantine import QuarantineError
+    from warpcontact.scene.body_contact import BodyContact
     from warpcontact.scene.contact_coupling import ContactCoupling, ContactRange
     from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
     from warpcontact.scene.elements import Body, Contact, ContactMaterial, Points, Surface
@@ -108,6 +109,7 @@ _HOME = {
     "Shape": "warpcontact.scene.shapes",
     "Simulation": "warpcontact.stepping.simulation",
     "ShapeContact": "warpcontact.scene.shapes",
+    "BodyContact": "warpcontact.scene.body_contact",
     "SplitModel": "warpcontact.building.model",
     "Spring": "warpcontact.kernels.couplings.springs.base",
     "SpringDamper": "warpcontact.scene.couplings",
@@ -152,6 +154,7 @@ _HOME = {
 __all__ = [
     "BenchReport",
     "Body",
+    "BodyContact",
     "Bushing",
     "Catenary",
     "CatenaryStatus",

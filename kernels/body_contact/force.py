@@ -5,23 +5,15 @@ import functools
 import warp as wp
 from warpcontact.kernels.body_contact import solids as solid_functions
 from warpcontact.kernels.body_contact.columns import (
-    FULL_WEIGHT,
-    INFINITE,
-    NO_WEIGHT,
-    OFFSET,
-    Overlap,
     column_polygon,
-    column_weight,
     convex_polygon,
     face_frame,
-    first_crossing,
     is_apart,
     is_exit,
-    overlap_of,
     position_on_face,
     ramp_height,
-    side_of,
 )
+from warpcontact.kernels.body_contact.overlap import FULL_WEIGHT, NO_WEIGHT, Overlap, column_weight, overlap_of
 from warpcontact.kernels.body_contact.patches import (
     PATCH_COUNT,
     Patches,
@@ -42,7 +34,15 @@ from warpcontact.kernels.body_contact.polygons import (
     signed_area,
 )
 from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
-from warpcontact.kernels.body_contact.solids import CONVEX, HALF_SPACE, OPEN, Geometries, Solids, inverse_pose
+from warpcontact.kernels.body_contact.solids import (
+    FEW_PLANES,
+    HALF_SPACE,
+    HAS_BOUNDARY,
+    Geometries,
+    Solids,
+    inverse_pose,
+)
+from warpcontact.kernels.body_contact.surface_queries import INFINITE, OFFSET, first_crossing, solid_geometry
 from warpcontact.kernels.contact.contact_evaluation import (
     ContactModel,
     functions,
@@ -55,6 +55,7 @@ from warpcontact.kernels.types import (
     CONTACT,
     DISABLED,
     ENV_ACTIVE,
+    OPEN,
     WRONG_SIDE,
     LaunchRange,
     structs,
@@ -62,12 +63,11 @@ from warpcontact.kernels.types import (
     task_env,
     task_item,
 )
-from warpcontact.kernels.types import (
-    OPEN as OPEN_STATUS,
-)
 
 vec3d = wp.vec3d
 double = wp.float64
+# Area of the columns, relative to the sum of the magnitudes of its parts, below which it counts as zero.
+CANCELLED = wp.constant(double(1.0e-9))
 
 
 @wp.struct
@@ -78,7 +78,8 @@ class ColumnSums:
     volume: double  # [m³]
     pressure: double  # integral of the normal force per area [N]
     max_pressure: double  # [Pa]
-    approach_speed: double  # largest [m/s]
+    gross_area: double  # sum of the magnitudes of the parts of ``area`` [m²]
+    approach: double  # integral of the approach speed over the area [m³/s]
     friction: vec3d  # on the first body [N]
     force: vec3d  # on the first body [N]
     torque_1: vec3d  # on the first body, about its center of mass [N·m]
@@ -138,12 +139,12 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
             setting = settings[env, pair]
             solid_1 = pairs.first[pair]
             solid_2 = pairs.second[pair]
-            first = side_of(geometries, solids.pose[env, solid_1])
-            second = side_of(geometries, solids.pose[env, solid_2])
+            first = solid_geometry(geometries, solids.pose[env, solid_1])
+            second = solid_geometry(geometries, solids.pose[env, solid_2])
             pose = pair_pose(state, env, solids, solid_1, solid_2)
 
             overlap = Overlap()
-            contact_status = wp.int32(OPEN_STATUS)
+            contact_status = wp.int32(OPEN)
             if setting.enabled == 0:
                 contact_status = DISABLED
             else:
@@ -153,7 +154,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 reach = wp.length(first.half_extents) + wp.length(second.half_extents)
                 if (second.flags & HALF_SPACE) != 0 or wp.dot(between, between) < reach * reach:
                     overlap = overlap_of(geometries, first, second, pose.first_in_second)
-                    if setting.reference >= double(0.0) and (second.flags & (HALF_SPACE | OPEN)) == 0:
+                    if setting.reference >= double(0.0) and (second.flags & (HALF_SPACE | HAS_BOUNDARY)) == 0:
                         overlap.share = setting.reference
                 if overlap.depth > double(0.0):
                     contact_status = CONTACT
@@ -168,15 +169,15 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                     normal = patches_in.normal[env, PATCH_COUNT * pair + patch]
                     for i in range(3):
                         normals[patch, i] = normal[i]
-            second_is_reference = (second.flags & (HALF_SPACE | OPEN)) != 0
+            second_is_reference = (second.flags & (HALF_SPACE | HAS_BOUNDARY)) != 0
             half_space = (second.flags & HALF_SPACE) != 0
             part_count = wp.where(half_space, 1, 2)
-            families = wp.int32(0)
+            sides = wp.int32(0)
             q = pose.orientation
             q_WS = quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
             if contact_status == CONTACT:
-                families = wp.where(second_is_reference, 1, 2)
-            for family in range(families):
+                sides = wp.where(second_is_reference, 1, 2)
+            for side in range(sides):
                 share = overlap.share
                 kappa = setting.kappa
                 own = second
@@ -184,7 +185,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 own_pose = pose.first_in_second
                 rotation = pose.rotation
                 origin = vec3d()
-                if family == 1:
+                if side == 1:
                     share = double(1.0) - overlap.share
                     kappa = double(1.0) - setting.kappa
                     own = first
@@ -200,13 +201,13 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                         continue
                     # Out of the second solid.
                     normal_W = rotation * face_plane.normal
-                    if family == 1:
+                    if side == 1:
                         normal_W = -normal_W
                     patch = wp.int32(0)
                     if wp.static(has_patches):
                         normal_2 = wp.transpose(pose.rotation) * normal_W
                         patch = patch_of(normals, normal_2)
-                    by_planes = (other.flags & CONVEX) != 0 and not half_space
+                    by_planes = (other.flags & FEW_PLANES) != 0 and not half_space
                     first_part = other.first_face
                     end_part = other.end_face
                     if by_planes:
@@ -277,7 +278,8 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 sums.volume += weight * depth
                                 sums.pressure += normal_force
                                 sums.max_pressure = wp.max(sums.max_pressure, pressure)
-                                sums.approach_speed = wp.max(sums.approach_speed, double(result.approach_speed))
+                                sums.gross_area += wp.abs(weight)
+                                sums.approach += weight * double(result.approach_speed)
                                 sums.friction += friction_W
                                 sums.force += force_W
                                 sums.torque_1 += wp.cross(arm_1, force_W)
@@ -291,15 +293,20 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
 
             # Factor from sums over the area to the force of the contact, without and with ``force_scale``.
             unscaled = double(1.0)
-            if wp.static(not per_area):
-                if sums.area > double(0.0):
+            approach_speed = double(0.0)
+            # Columns that cancel leave rounding errors, which have no mean.
+            if sums.area > CANCELLED * sums.gross_area:
+                approach_speed = sums.approach / sums.area
+                if wp.static(not per_area):
                     unscaled = double(1.0) / sums.area
+            elif wp.static(not per_area):
+                unscaled = double(0.0)
             scale = unscaled * setting.force_scale
             if wp.static(has_patches):
                 # A new patch cannot have slipped for longer than it took to reach this depth.
                 max_elapsed = real(wp.inf)
-                if body_contacts.entry_speed[env, pair] < real(0.0) and sums.approach_speed > double(0.0):
-                    max_elapsed = real(overlap.depth / sums.approach_speed)
+                if body_contacts.entry_speed[env, pair] < real(0.0) and approach_speed > double(0.0):
+                    max_elapsed = real(overlap.depth / approach_speed)
                 for patch in range(PATCH_COUNT):
                     member = PATCH_COUNT * pair + patch
                     patch_shape = shape_of_patch(sums_of_patches, patch)
@@ -341,7 +348,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
             body_contacts.normal[env, pair] = from_float64(mean_normal_W)
             body_contacts.center[env, pair] = from_float64(wp.where(contact_status == CONTACT, center_W, vec3d()))
             body_contacts.max_pressure[env, pair] = real(scale * sums.max_pressure)
-            body_contacts.approach_speed[env, pair] = real(sums.approach_speed)
+            body_contacts.approach_speed[env, pair] = real(approach_speed)
             body_contacts.normal_force[env, pair] = real(scale * sums.pressure)
             body_contacts.friction_force[env, pair] = from_float64(scale * sums.friction)
             body_contacts.force[env, pair] = total_force_W

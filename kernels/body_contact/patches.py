@@ -14,14 +14,14 @@ from warpcontact.kernels.catalogue.device_model import Formula, coefficient_stru
 from warpcontact.kernels.frames import functions as frame_functions
 from warpcontact.kernels.types import Struct, structs
 
-real = wp.float64
+double = wp.float64
 vec3d = wp.vec3d
 
 #: Largest number of patches of a pair.
 PATCH_COUNT = 4
 # Cosine of the largest angle, 40°, between the normals of a patch in successive steps, and within a patch.
-SIMILAR = wp.constant(real(0.766))
-TINY = wp.constant(real(1.0e-300))
+SIMILAR = wp.constant(double(0.766))
+TINY = wp.constant(double(1.0e-300))
 
 # Rows: normal force, its moment of first order (3), of second order (xx, yy, zz, xy, xz, yz), sum of normals (3).
 patch_sums = wp.types.matrix(shape=(PATCH_COUNT, 13), dtype=wp.float64)
@@ -55,12 +55,12 @@ def row_vector(rows: patch_normals, i: int):
 def most_similar(rows: patch_normals, normal: vec3d):
     """Returns the index of the row with the largest component along ``normal``."""
     best = wp.int32(0)
-    largest = real(-2.0)
+    largest = double(-2.0)
     for i in range(PATCH_COUNT):
         similarity = wp.dot(row_vector(rows, i), normal)
         # Zero rows are free.
-        if wp.length_sq(row_vector(rows, i)) == real(0.0):
-            similarity = real(-2.0)
+        if wp.length_sq(row_vector(rows, i)) == double(0.0):
+            similarity = double(-2.0)
         if similarity > largest:
             largest = similarity
             best = i
@@ -71,7 +71,7 @@ def most_similar(rows: patch_normals, normal: vec3d):
 def free_row(rows: patch_normals):
     """Returns the index of the first zero row; −1: there is none."""
     for i in range(PATCH_COUNT):
-        if wp.length_sq(row_vector(rows, i)) == real(0.0):
+        if wp.length_sq(row_vector(rows, i)) == double(0.0):
             return i
     return -1
 
@@ -91,14 +91,14 @@ def patch_of(rows: patch_normals, normal: vec3d):
 @wp.func
 def with_patch(rows: patch_normals, patch: int, normal: vec3d):
     """Returns the normals with that of a free patch set to ``normal``."""
-    if wp.length_sq(row_vector(rows, patch)) == real(0.0):
+    if wp.length_sq(row_vector(rows, patch)) == double(0.0):
         for i in range(3):
             rows[patch, i] = normal[i]
     return rows
 
 
 @wp.func
-def with_column(sums: patch_sums, patch: int, normal_force: real, position: vec3d, normal: vec3d):
+def with_column(sums: patch_sums, patch: int, normal_force: double, position: vec3d, normal: vec3d):
     """Returns the sums with a column of a patch, at ``position`` relative to their origin, W."""
     sums[patch, 0] = sums[patch, 0] + normal_force
     for i in range(3):
@@ -112,28 +112,28 @@ def with_column(sums: patch_sums, patch: int, normal_force: real, position: vec3
 
 
 @wp.func
-def friction_radius(variance_1: real, variance_2: real):
+def friction_radius(variance_1: double, variance_2: double):
     """Returns the mean distance from the center of a uniformly loaded rectangle with these variances along its sides [m].
 
     It is exact for rectangles, and 0.6 % too small for a disc.
     """
-    a = wp.sqrt(real(12.0) * wp.max(variance_1, TINY))
-    b = wp.sqrt(real(12.0) * wp.max(variance_2, TINY))
+    a = wp.sqrt(double(12.0) * wp.max(variance_1, TINY))
+    b = wp.sqrt(double(12.0) * wp.max(variance_2, TINY))
     short = wp.min(a, b)
     long = wp.max(a, b)
     diagonal = wp.sqrt(a * a + b * b)
     # asinh(x) = log(x + √(x² + 1)); for a line, short² asinh(long/short) tends to 0.
     ratio = short / long
-    across = real(0.0)
-    if ratio > real(1.0e-9):
-        inverse = real(1.0) / ratio
-        across = short * short / (real(12.0) * long) * wp.log(inverse + wp.sqrt(inverse * inverse + real(1.0)))
-    along = real(0.25) * long
-    if ratio > real(1.0e-9):
-        along = long * long / (real(12.0) * short) * wp.log(ratio + wp.sqrt(ratio * ratio + real(1.0)))
+    across = double(0.0)
+    if ratio > double(1.0e-9):
+        inverse = double(1.0) / ratio
+        across = short * short / (double(12.0) * long) * wp.log(inverse + wp.sqrt(inverse * inverse + double(1.0)))
+    along = double(0.25) * long
+    if ratio > double(1.0e-9):
+        along = long * long / (double(12.0) * short) * wp.log(ratio + wp.sqrt(ratio * ratio + double(1.0)))
     else:
-        along = long / real(12.0)
-    return diagonal / real(6.0) + across + along
+        along = long / double(12.0)
+    return diagonal / double(6.0) + across + along
 
 
 @wp.func
@@ -142,7 +142,7 @@ def shape_of_patch(sums: patch_sums, patch: int):
     shape = PatchShape()
     force = sums[patch, 0]
     shape.normal_force = force
-    if force <= real(0.0):
+    if force <= double(0.0):
         return shape
     center = vec3d(sums[patch, 1], sums[patch, 2], sums[patch, 3]) / force
     shape.center = center
@@ -160,16 +160,16 @@ def shape_of_patch(sums: patch_sums, patch: int):
     )
     # Principal variances in the tangent plane.
     n = shape.normal
-    helper = vec3d(real(1.0), real(0.0), real(0.0))
-    if wp.abs(n[0]) > real(0.7):
-        helper = vec3d(real(0.0), real(1.0), real(0.0))
+    helper = vec3d(double(1.0), double(0.0), double(0.0))
+    if wp.abs(n[0]) > double(0.7):
+        helper = vec3d(double(0.0), double(1.0), double(0.0))
     u = wp.normalize(wp.cross(n, helper))
     v = wp.cross(n, u)
     uu = wp.dot(u, covariance * u)
     vv = wp.dot(v, covariance * v)
     uv = wp.dot(u, covariance * v)
-    mean = real(0.5) * (uu + vv)
-    difference = wp.sqrt(real(0.25) * (uu - vv) * (uu - vv) + uv * uv)
+    mean = double(0.5) * (uu + vv)
+    difference = wp.sqrt(double(0.25) * (uu - vv) * (uu - vv) + uv * uv)
     shape.friction_radius = friction_radius(mean + difference, mean - difference)
     return shape
 
@@ -193,14 +193,14 @@ class FrictionWrench:
 
 
 @functools.cache
-def functions(friction: type[Formula], real_type: type) -> Functions:
+def functions(friction: type[Formula], real: type) -> Functions:
     """Returns the device functions of the friction of patches with one friction model."""
-    t = structs(real_type)
+    t = structs(real)
     vec3, quat, State, TangentialState = t.vec3, t.quat, t.State, t.TangentialState
-    Coefficients: Struct = coefficient_struct(friction, real_type)
-    Memory = wp.array2d(dtype=history_variables.memory_struct(friction, real_type))
-    evaluate, _, clear_history = history_variables.functions(friction, real_type, vectors="any")
-    frame = frame_functions(real_type)
+    Coefficients: Struct = coefficient_struct(friction, real)
+    Memory = wp.array2d(dtype=history_variables.memory_struct(friction, real))
+    evaluate, _, clear_history = history_variables.functions(friction, real, vectors="any")
+    frame = frame_functions(real)
     velocity_at, to_float64, from_float64 = frame.velocity_at, frame.to_float64, frame.from_float64
 
     @wp.func
@@ -222,8 +222,8 @@ def functions(friction: type[Formula], real_type: type) -> Functions:
         history_in: Memory,
         history_out: Memory,
         member: int,
-        max_elapsed: real_type,
-        dt: real_type,
+        max_elapsed: real,
+        dt: real,
         q_WS: quat,
     ):
         slip = velocity_at(state, env, body_1, from_float64(arm_1)) - velocity_at(
@@ -231,11 +231,11 @@ def functions(friction: type[Formula], real_type: type) -> Functions:
         )
         spin = angular_velocity(state, env, body_1) - angular_velocity(state, env, body_2)
         n_W = from_float64(shape.normal)
-        radius = real_type(shape.friction_radius)
+        radius = real(shape.friction_radius)
         velocity = slip - wp.dot(slip, n_W) * n_W + (radius * wp.dot(spin, n_W)) * n_W
         tangential_state = TangentialState()
         tangential_state.normal = n_W
-        tangential_state.normal_force = real_type(shape.normal_force)
+        tangential_state.normal_force = real(shape.normal_force)
         tangential_state.velocity = velocity
         tangential_state.speed = wp.length(velocity)
         force = to_float64(

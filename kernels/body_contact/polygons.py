@@ -4,25 +4,27 @@ A corner is (u, v, t): coordinates in the plane of a face, and the depth below i
 """
 
 import warp as wp
+from warpcontact.kernels.body_contact.solids import MAX_PLANES
 
-real = wp.float64
+double = wp.float64
 
-#: Largest number of corners. Each cut adds one at most; a quadrilateral face is cut by few planes of the other solid.
-MAX_CORNERS = 16
+#: Largest number of corners. A quadrilateral is cut by at most 4 edges of another one, or by two cuts for each of
+#: ``MAX_PLANES`` planes, and at two depths. Each cut adds one corner at most.
+MAX_CORNERS = 4 + 2 * MAX_PLANES + 2
 #: Points of the quadrature rule on a triangle.
 RULE_SIZE = 7
 
-corner_matrix = wp.types.matrix(shape=(MAX_CORNERS, 3), dtype=real)
+corner_matrix = wp.types.matrix(shape=(MAX_CORNERS, 3), dtype=double)
 
 # Radon's rule of degree 5 on a triangle: barycentric coordinates (a, b, b) and weights of its two orbits.
 _A_1, _B_1, _W_1 = 0.059715871789769820, 0.470142064105115090, 0.132394152788506180
 _A_2, _B_2, _W_2 = 0.797426985353087320, 0.101286507323456340, 0.125939180544827150
-CENTER_WEIGHT = wp.constant(real(0.225))
-WEIGHT_1 = wp.constant(real(_W_1))
-WEIGHT_2 = wp.constant(real(_W_2))
-FAR_1, NEAR_1 = wp.constant(real(_A_1)), wp.constant(real(_B_1))
-FAR_2, NEAR_2 = wp.constant(real(_A_2)), wp.constant(real(_B_2))
-THIRD = wp.constant(real(1.0 / 3.0))
+CENTER_WEIGHT = wp.constant(double(0.225))
+WEIGHT_1 = wp.constant(double(_W_1))
+WEIGHT_2 = wp.constant(double(_W_2))
+FAR_1, NEAR_1 = wp.constant(double(_A_1)), wp.constant(double(_B_1))
+FAR_2, NEAR_2 = wp.constant(double(_A_2)), wp.constant(double(_B_2))
+THIRD = wp.constant(double(1.0 / 3.0))
 
 
 @wp.struct
@@ -30,7 +32,7 @@ class Polygon:
     """A convex polygon."""
 
     count: wp.int32  # number of corners; 0: empty
-    weight: real  # of its area, 0 to 1 [-]
+    weight: double  # of its area, 0 to 1 [-]
     corners: corner_matrix  # rows (u, v, t) [m]
 
 
@@ -38,10 +40,10 @@ class Polygon:
 class QuadraturePoint:
     """A point of the quadrature rule on a triangle."""
 
-    u: real  # [m]
-    v: real  # [m]
-    depth: real  # t [m]
-    weight: real  # fraction of the area of the triangle [-]
+    u: double  # [m]
+    v: double  # [m]
+    depth: double  # t [m]
+    weight: double  # fraction of the area of the triangle [-]
 
 
 @wp.func
@@ -53,7 +55,7 @@ def corner(polygon: Polygon, i: int):
 @wp.func
 def signed_area(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d):
     """Returns the area of a triangle in the plane of u and v, positive if its corners run counter-clockwise [m²]."""
-    return real(0.5) * (
+    return double(0.5) * (
         (second[0] - first[0]) * (third[1] - first[1]) - (third[0] - first[0]) * (second[1] - first[1])
     )
 
@@ -61,7 +63,7 @@ def signed_area(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d):
 @wp.func
 def polygon_area(polygon: Polygon):
     """Returns the area of the polygon in the plane of u and v [m²]."""
-    area = real(0.0)
+    area = double(0.0)
     for i in range(1, polygon.count - 1):
         area += signed_area(corner(polygon, 0), corner(polygon, i), corner(polygon, i + 1))
     return wp.abs(area)
@@ -70,7 +72,7 @@ def polygon_area(polygon: Polygon):
 @wp.func
 def centroid(polygon: Polygon):
     """Returns the center of area (u, v, t) of the polygon; of a polygon without area, its first corner."""
-    area = real(0.0)
+    area = double(0.0)
     moment = wp.vec3d()
     first = corner(polygon, 0)
     for i in range(1, polygon.count - 1):
@@ -79,9 +81,9 @@ def centroid(polygon: Polygon):
         part = signed_area(first, second, third)
         area += part
         moment += part * (first + second + third)
-    if area == real(0.0):
+    if area == double(0.0):
         return first
-    return moment / (real(3.0) * area)
+    return moment / (double(3.0) * area)
 
 
 @wp.func

@@ -19,7 +19,7 @@ class SolidPairs:
 class BodyContactSettings:
     """Parameters of a body contact."""
 
-    kappa: wp.float64  # the force of a column acts at kappa × its length below the face on which it stands [-]
+    kappa: wp.float64  # the force of a column acts at kappa × its length from the second solid [-]
     max_depth: wp.float64  # largest depth of the overlap that counts as contact [m]
     force_scale: wp.float64  # factor on forces and torques [-]
     reference: wp.float64  # weight of the columns on the second solid; < 0: it follows from the flatness of both
@@ -48,7 +48,7 @@ def body_contact_structs(real: type) -> BodyContactStructs:
         normal: wp.array2d(dtype=vec3)  # [env, pair] mean, weighted by pressure, out of the second solid, W
         center: wp.array2d(dtype=vec3)  # [env, pair] of pressure, W [m]
         max_pressure: wp.array2d(dtype=real)  # [env, pair] [Pa]
-        approach_speed: wp.array2d(dtype=real)  # [env, pair] largest of the columns [m/s]
+        approach_speed: wp.array2d(dtype=real)  # [env, pair] mean of the columns [m/s]
         normal_force: wp.array2d(dtype=real)  # [env, pair] sum over the columns [N]
         friction_force: wp.array2d(dtype=vec3)  # [env, pair] on the first body, W [N]
         force: wp.array2d(dtype=vec3)  # [env, pair] on the first body, W [N]

@@ -11,12 +11,15 @@ from typing import NamedTuple
 import warp as wp
 from warpcontact.kernels.types import Struct, structs
 
-real = wp.float64
+double = wp.float64
 
 # Properties of a geometry.
 CONVEX = 1
 HALF_SPACE = 2  # z ≤ 0; it has one face without corners
-OPEN = 4  # a surface with a boundary; only its own faces carry columns
+HAS_BOUNDARY = 4  # a surface with a boundary; only its own faces carry columns
+FEW_PLANES = 8  # convex, with at most MAX_PLANES planes
+#: Largest number of planes of a convex solid by which faces are cut.
+MAX_PLANES = 8
 
 
 @wp.struct
@@ -63,7 +66,7 @@ class RelativePose:
 
 
 @wp.struct
-class WorldPose:
+class PairPose:
     """Rotations and arms of the two solids of a pair."""
 
     first_in_second: RelativePose
@@ -105,22 +108,22 @@ def corner_count(face: wp.vec4i):
 class Functions(NamedTuple):
     """Device functions of solids, for states of one precision."""
 
-    #: ``(state, env, solids, first, second)``: the ``WorldPose`` of two solids.
+    #: ``(state, env, solids, first, second)``: the ``PairPose`` of two solids.
     pair_pose: wp.Function
 
 
 @functools.cache
-def functions(real_type: type) -> Functions:
-    """Returns the device functions for states of precision ``real_type``."""
-    State: Struct = structs(real_type).State
+def functions(real: type) -> Functions:
+    """Returns the device functions for states of precision ``real``."""
+    State: Struct = structs(real).State
 
     @wp.func
     def body_rotation(state: State, env: int, body: int):
         """Returns the rotation B → W of ``body`` (WORLD: identity), normalized in float64."""
         if body < 0:
-            return wp.quatd(real(0.0), real(0.0), real(0.0), real(1.0))
+            return wp.quatd(double(0.0), double(0.0), double(0.0), double(1.0))
         q = state.body_orientation[env, body]
-        return wp.normalize(wp.quatd(real(q[0]), real(q[1]), real(q[2]), real(q[3])))
+        return wp.normalize(wp.quatd(double(q[0]), double(q[1]), double(q[2]), double(q[3])))
 
     @wp.func
     def body_center(state: State, env: int, body: int):
@@ -128,14 +131,14 @@ def functions(real_type: type) -> Functions:
         if body < 0:
             return wp.vec3d()
         p = state.body_position[env, body]
-        return wp.vec3d(real(p[0]), real(p[1]), real(p[2]))
+        return wp.vec3d(double(p[0]), double(p[1]), double(p[2]))
 
     @wp.func
     def body_remainder(state: State, env: int, body: int):
         if body < 0:
             return wp.vec3d()
         p = state.body_position_remainder[env, body]
-        return wp.vec3d(real(p[0]), real(p[1]), real(p[2]))
+        return wp.vec3d(double(p[0]), double(p[1]), double(p[2]))
 
     @wp.func
     def pair_pose(state: State, env: int, solids: Solids, first: int, second: int):
@@ -150,7 +153,7 @@ def functions(real_type: type) -> Functions:
         offset_2 = wp.quat_rotate(q_2, pose_2.position)
         between = body_center(state, env, body_1) - body_center(state, env, body_2)
         between += body_remainder(state, env, body_1) - body_remainder(state, env, body_2)
-        result = WorldPose()
+        result = PairPose()
         result.orientation = q_2 * pose_2.orientation
         result.rotation = wp.quat_to_matrix(result.orientation)
         to_second = wp.transpose(result.rotation)

@@ -254,7 +254,7 @@ def test_contact_evaluation_does_not_accumulate_wrenches(name, device):
             1,
             1,
             ("bodies", "contacts"),
-            r"unknown needs \['bodies'\]; possible needs: \['contacts', 'distances'",
+            r"unknown needs \['bodies'\]; possible needs: \['all_distances', 'contacts'",
         ),
     ],
 )

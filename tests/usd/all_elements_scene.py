@@ -134,6 +134,10 @@ def shape_scene():
         name="pile",
     )
     scene.add_shape(None, wc.shapes.RoundedBox((0.1, 0.2, 0.3), 0.01), visible=False)
+    crate = scene.add_body(0.5, (1e-3, 1e-3, 1e-3), (0.4, 0.1, 0.9), turned(odd), name="crate")
+    sides = [scene.add_shape(crate, wc.shapes.RoundedBox((0.05, 0.04, 0.03)), (0.1 * i, 0, 0)) for i in range(2)]
+    foundation = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e7))
+    scene.add_body_contact(sides, plane, foundation, kappa=0.4, reference="second", max_depth=0.01, name="press")
     motions = (
         wc.motions.Hinge(axis=(0, 1, 0.2), anchor=(0.1, 0.2, 0.3)),
         wc.motions.Ball(anchor=(0, 0, 2.0)),

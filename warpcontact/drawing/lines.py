@@ -13,6 +13,7 @@ from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.types import COUPLING_BROKEN
 from warpcontact.model.build import plan_on_devices
 from warpcontact.model.model import DeviceModel
+from warpcontact.scene.body_contact import BodyContact
 from warpcontact.scene.couplings import Catenary, Coupling, SpringDamper
 from warpcontact.scene.elements import Contact, Points
 from warpcontact.scene.particles import ParticleContact
@@ -48,7 +49,7 @@ class ForceLines:
 
     def __init__(
         self,
-        contact: Contact | ShapeContact | ParticleContact,
+        contact: Contact | ShapeContact | ParticleContact | BodyContact,
         start: Array,
         force: Array,
         name: str | None = None,
@@ -108,6 +109,14 @@ def resultant_lines(
             each = force.astype(np.float64).reshape(*shape, particle_contact.count, 3)
             meaning = "Force of the other particles on each shape, from its center."
             found.append(ForceLines(particle_contact, start, each, meaning=meaning))
+    for body_contact in replay.scene.body_contacts:
+        force, center = (replay.series(f"{body_contact.name}.{key}") for key in ("force", "center"))
+        if force is not None and center is not None:
+            start, each = (
+                values.astype(np.float64).reshape(*shape, body_contact.count, 3) for values in (center, force)
+            )
+            meaning = "Force on the first body, from the center of pressure."
+            found.append(ForceLines(body_contact, start, each, meaning=meaning))
     return found
 
 

@@ -24,6 +24,7 @@ from warpcontact.experiment.schema import (
     DEVICE_MODEL_SECTIONS,
     ROW_KEYS,
     BodiesSettings,
+    BodyContactSettings,
     BodySettings,
     ContactCouplingSettings,
     ContactSettings,
@@ -53,6 +54,7 @@ _BODY = ("body", ("body", "bodies"))
 _POINTS = ("point", ("point", "points"))
 _SURFACE = ("surface", ("surface",))
 _SHAPE = ("shape", ("shape",))
+_SOLID = ("surface, shape or body", ("surface", "shape", "body"))
 _MATERIAL = ("material", ("material",))
 
 _ON_POINTS: dict[str, tuple[str, tuple[str, ...]]] = {"point_a": _POINTS, "point_b": _POINTS}
@@ -70,6 +72,7 @@ _REFERENCES: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "shape": {"body": _BODY},
     "shape_contact": {"shape": _SHAPE, "other_shape": _SHAPE, "material": _MATERIAL},
     "particle_contact": {"shapes": _SHAPE, "exclude": _SHAPE, "material": _MATERIAL},
+    "body_contact": {"first": _SOLID, "second": _SOLID, "material": _MATERIAL},
 }
 
 
@@ -131,6 +134,7 @@ class SceneBuilder:
             "shape": lambda path, entry: self._shape(scene, path, entry, problems),
             "shape_contact": lambda path, entry: self._shape_contact(scene, path, entry, problems),
             "particle_contact": lambda path, entry: self._particle_contact(scene, path, entry, problems),
+            "body_contact": lambda path, entry: self._body_contact(scene, path, entry, problems),
             "force_element": lambda path, entry: self._force_element(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
@@ -285,6 +289,27 @@ class SceneBuilder:
             raise _Unresolved
         options = entry.model_dump(exclude={"shapes", "material", "exclude"})
         return scene.add_particle_contact(shapes, material, exclude=pairs, **options)
+
+    def _body_contact(self, scene: Scene, path: str, entry: BodyContactSettings, problems: Problems) -> Any:
+        def find(key: str, name: str, kind: tuple[str, tuple[str, ...]]) -> Any:
+            try:
+                return self._find(f"{path}.{key}", name, kind, problems)
+            except _Unresolved:
+                return None
+
+        # Resolve all references before failing, so that each is reported.
+        sides = []
+        for key in ("first", "second"):
+            given = getattr(entry, key)
+            names = (
+                [(key, given)] if isinstance(given, str) else [(f"{key}[{i}]", one) for i, one in enumerate(given)]
+            )
+            sides.append([find(where, name, _SOLID) for where, name in names])
+        material = find("material", entry.material, _MATERIAL)
+        if any(found is None for found in (*sides[0], *sides[1], material)):
+            raise _Unresolved
+        options = entry.model_dump(exclude={"first", "second", "material"})
+        return scene.add_body_contact(sides[0], sides[1], material, **options)
 
     def _force_element(self, scene: Scene, path: str, entry: ForceElementSettings, problems: Problems) -> Any:
         targets = self._find_all(path, entry, entry.references, problems)

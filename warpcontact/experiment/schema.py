@@ -4,7 +4,7 @@ Laws, friction models and meshes are in ``catalogue.py``.
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -248,6 +248,22 @@ class ParticleContactSettings(Section):
     visible: bool = True
 
 
+class BodyContactSettings(Section):
+    """``[[body_contact]]``: contact of solids over an area."""
+
+    name: Name
+    first: str | Rows[str] = Field(description="the name of a surface, a shape or a body, or a list of names")
+    second: str | Rows[str] = Field(description="the name of a surface, a shape or a body, or a list of names")
+    material: str = Field(description="the name of a material")
+    reference: Literal["auto", "first", "second", "average"] = "auto"
+    kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
+    max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
+    force_scale: Annotated[float, q.numbers((), allowed=limits_of.FORCE_SCALE)] = 1.0
+    enabled: bool = True
+    color: Color | None = None
+    visible: bool = True
+
+
 class ImpactSettings(Section):
     """An expected impact, from which the coefficients of a contact coupling are computed."""
 
@@ -385,6 +401,7 @@ class Settings(Section):
     shape: Rows[ShapeSettings] = ()
     shape_contact: Rows[ShapeContactSettings] = ()
     particle_contact: Rows[ParticleContactSettings] = ()
+    body_contact: Rows[BodyContactSettings] = ()
     spring_damper: Rows[SpringDamperSettings] = ()
     bushing: Rows[BushingSettings] = ()
     catenary: Rows[CatenarySettings] = ()
@@ -415,6 +432,7 @@ SECTIONS: dict[str, type[Section]] = {
     "shape": ShapeSettings,
     "shape_contact": ShapeContactSettings,
     "particle_contact": ParticleContactSettings,
+    "body_contact": BodyContactSettings,
     "spring_damper": SpringDamperSettings,
     "bushing": BushingSettings,
     "catenary": CatenarySettings,

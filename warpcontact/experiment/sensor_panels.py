@@ -143,7 +143,7 @@ def _choose_sensors(ranks: dict[str, int], first: str | None, most: int) -> list
 def _ranks(recording: Recording) -> dict[str, int]:
     """Returns the sensors that can be drawn, without positions of bodies, with their ranks; 0 comes first."""
     scene = recording.scene
-    touching: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
+    touching: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts, *scene.body_contacts]
     contacts = {one.name for one in (*touching, *scene.contact_couplings)}
     couplings = {coupling.name for coupling in scene.couplings}
 

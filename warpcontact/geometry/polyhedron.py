@@ -70,10 +70,13 @@ class Polyhedron:
 
     def planes(self) -> tuple[Array, Array, Array]:
         """Returns unit normals (F, 3), unit vectors along the first edges (F, 3), and offsets along the normals (F,)."""
-        normals = _unit_normals(self.vertices, self.faces[:, :3])
         first, second = (self.vertices[self.faces[:, i]] for i in range(2))
         along = second - first
         along /= np.linalg.norm(along, axis=1, keepdims=True)
+        # Area vector of the corners: exact for triangles, and not sensitive to a nearly straight corner.
+        corners = self.vertices[np.where(self.faces >= 0, self.faces, self.faces[:, :1])] - first[:, None]
+        normals = np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return normals, along, np.einsum("ij,ij->i", normals, first)
 
 
@@ -128,10 +131,11 @@ def _convex_outline(
     if not following:
         return None
     loop = [min(following)]
-    while (after := following[loop[-1]]) != loop[0]:
-        loop.append(after)
-        if len(loop) > len(following):
+    while (after := following.get(loop[-1])) != loop[0]:
+        # Faces that overlap or touch at a vertex have no simple outline.
+        if after is None or len(loop) == len(following):
             return None
+        loop.append(after)
     if len(loop) != len(following):
         return None
     corners = []

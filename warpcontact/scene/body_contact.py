@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -34,8 +35,8 @@ class BodyContact:
     """Contact of solids over an area: all pairs of a first and a second solid on different bodies."""
 
     name: str
-    pairs: tuple[tuple[Solid, Solid], ...]
-    single: bool  # one pair: no item axis
+    first: tuple[Solid, ...]
+    second: tuple[Solid, ...]
     material: ContactMaterial
     reference: str
     kappa: Array
@@ -45,10 +46,25 @@ class BodyContact:
     color: Array | None
     visible: bool
 
+    @cached_property
+    def pairs(self) -> tuple[tuple[Solid, Solid], ...]:
+        """Its pairs: each first solid with each second one on another body."""
+        found: dict[frozenset[str], tuple[Solid, Solid]] = {}
+        for one, other in itertools.product(self.first, self.second):
+            if one.body is not other.body:
+                # Each pair once, although lists may have common elements.
+                found.setdefault(frozenset((one.name, other.name)), (one, other))
+        return tuple(found.values())
+
     @property
     def count(self) -> int:
         """Number of pairs."""
         return len(self.pairs)
+
+    @property
+    def single(self) -> bool:
+        """Whether it is one pair, without an item axis."""
+        return len(self.pairs) == 1
 
     @property
     def parts(self) -> ContactModel:
@@ -109,17 +125,18 @@ class BodyContacts:
         Solids are closed meshes, boxes, half-spaces (``wc.shapes.Plane``, second only) and open surfaces (second only). A
         column stands on each point of a face of one solid inside the other solid, along the normal of the face, and its
         length is the depth. A law with an omitted ``area`` is the pressure at the depth of each column. The mean of any
-        other law over the area of contact is the normal force. Friction acts at each point of the area, so torsion follows
-        from it.
+        other law over the area of contact is the normal force. Friction without history acts at each point of the area;
+        friction with history has one force and one torque per patch of similar normals.
 
         Args:
             first: A surface, a shape, a body (all of its surfaces and shapes), or a list of them. Sensors give the force
                 on it.
-            second: Likewise. Each first solid is paired with each second one on another body.
+            second: Likewise. Each first solid is paired with each second one on another body. With several pairs, sensors
+                have an additional axis, ``item``.
             material: Contact material, without rolling and torsional friction.
             reference: Solid on whose faces the columns stand. ``"auto"``: the flatter one, with a continuous transition;
                 ``"first"``, ``"second"``, or ``"average"`` of both. A half-space or open surface is always the reference.
-            kappa: The force of a column acts at κ times its length below the face.
+            kappa: The force of a column acts at κ times its length from the second solid.
             max_depth: Maximum depth of a contact [m]. Default: unlimited.
             force_scale: Factor on forces and torques of this contact.
             enabled: Whether the contact is enabled.
@@ -137,22 +154,19 @@ class BodyContacts:
         seconds = self._solids(f"{name}.second", second)
         for solid in firsts:
             _check_first(name, solid)
-        pairs = tuple(
-            (one, other) for one, other in itertools.product(firsts, seconds) if one.body is not other.body
-        )
-        if not pairs:
-            where = f"body {firsts[0].body.name!r}" if firsts[0].body else "the world"
-            raise ValueError(f"{name}: all solids are fixed to {where}; one must move")
         options = options_of(name, kappa, max_depth, None, force_scale, enabled, color, visible)
         del options["torsion_radius"]
         contact = BodyContact(
             name=name,
-            pairs=pairs,
-            single=not (isinstance(first, list | tuple) or isinstance(second, list | tuple) or len(pairs) > 1),
+            first=tuple(firsts),
+            second=tuple(seconds),
             material=material,
             reference=checks.choice(f"{name}.reference", reference, tuple(REFERENCES)),
             **options,
         )
+        if not contact.pairs:
+            where = f"body {firsts[0].body.name!r}" if firsts[0].body else "the world"
+            raise ValueError(f"{name}: all solids are fixed to {where}; one must move")
         self.body_contacts.append(contact)
         self._elements[name] = contact
         return contact
@@ -184,6 +198,12 @@ class BodyContacts:
 def _check_solid(label: str, solid: Solid) -> None:
     """Raises ``ValueError`` if body contact does not support ``solid``."""
     if isinstance(solid, Surface):
+        for mesh in solid.meshes:
+            if mesh.report.closed and not (mesh.report.volume or 0.0) > 0.0:
+                raise ValueError(
+                    f"{label}: the faces of surface {solid.name!r} enclose no volume, or are oriented inward; flip=True of "
+                    "add_surface reverses them"
+                )
         if not all(active.all() for active in solid.active):
             raise ValueError(
                 f"{label}: surface {solid.name!r} has faces that are not active, which body contact needs"
@@ -224,6 +244,11 @@ def _check_material(name: str, material: Any) -> None:
     if not isinstance(material, ContactMaterial):
         raise TypeError(f"material of {name!r} must be a wc.ContactMaterial, got {material!r}")
     law, friction = material.law, material.friction
+    if law.rigid:
+        raise ValueError(
+            f"{name}: the law of its material is {type(law).__name__}; body contact needs a compliant law. add_contact and "
+            "add_shape_contact support nonsmooth contact"
+        )
     for part in ("rolling", "torsion"):
         formula = material.formulas[part]
         if not isinstance(formula, Frictionless):

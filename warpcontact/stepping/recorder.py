@@ -72,6 +72,7 @@ def item_dimension(scene: SceneData, element: str) -> str:
     sizes |= {body.count for body in scene.bodies if not body.single}
     # A particle contact has one item per particle; its particles may be those of several sets.
     sizes |= {contact.count for contact in scene.particle_contacts if contact.name == element}
+    sizes |= {contact.count for contact in scene.body_contacts if contact.name == element}
     return "item" if len(sizes) == 1 else f"{element}.item"
 
 
@@ -92,7 +93,12 @@ def replay_parameters(model: Environments) -> list[str]:
     first["scene.gravity"] = scene.gravity
     for body in scene.bodies:
         first |= {f"{body.name}.motion.{key}": value for key, value in body.motion.parameters().items()}
-    contacts: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
+    contacts: list[Any] = [
+        *scene.contacts,
+        *scene.shape_contacts,
+        *scene.particle_contacts,
+        *scene.body_contacts,
+    ]
     for contact in contacts:
         formulas = contact.material.formulas
         values = {f"friction.{key}": value for key, value in formulas["friction"].parameters().items()}

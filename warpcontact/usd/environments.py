@@ -184,7 +184,12 @@ class Prototype:
         from pxr import UsdGeom
 
         scene, layout = self.content.replay.scene, self.layout
-        elements: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
+        elements: list[Any] = [
+            *scene.contacts,
+            *scene.shape_contacts,
+            *scene.particle_contacts,
+            *scene.body_contacts,
+        ]
         shown = {one.name: one.visible for one in elements}
         shown |= {one.name: any(part.visible for part in one.contacts) for one in scene.contact_couplings}
         if shown:
@@ -389,7 +394,13 @@ class Environments:
 
 def _contact_elements(replay: Replay) -> list[Any]:
     scene = replay.scene
-    return [*scene.contacts, *scene.contact_couplings, *scene.shape_contacts, *scene.particle_contacts]
+    return [
+        *scene.contacts,
+        *scene.contact_couplings,
+        *scene.shape_contacts,
+        *scene.particle_contacts,
+        *scene.body_contacts,
+    ]
 
 
 def sensors_of(replay: Replay) -> dict[str, Sensors]:

@@ -11,7 +11,7 @@ from warpcontact.kernels import shapes
 from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.scene.elements import Contact
-from warpcontact.scene.shapes import ShapeContact
+from warpcontact.scene.shapes import Shape, ShapeContact
 from warpcontact.usd.author import WORLD
 from warpcontact.validation.checks import Array
 
@@ -107,6 +107,9 @@ def _contacts(replay: Replay) -> Iterator[tuple[Any, list[tuple[str, str]]]]:
         yield shape_contact, [("shape", shape.name) for shape in shape_contact.shapes]
     for particle_contact in scene.particle_contacts:
         yield particle_contact, [("shape", shape.name) for shape in particle_contact.shapes]
+    for body_contact in scene.body_contacts:
+        solids = dict.fromkeys((*body_contact.first, *body_contact.second))
+        yield body_contact, [("shape" if isinstance(one, Shape) else "surface", one.name) for one in solids]
 
 
 def _material(replay: Replay, contact: Any) -> UsdMaterial:

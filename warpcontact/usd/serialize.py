@@ -20,6 +20,7 @@ from warpcontact.kernels.friction import Friction
 from warpcontact.kernels.joints import Free, Motion
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.shapes.base import Shape as Form
+from warpcontact.scene.body_contact import BodyContact
 from warpcontact.scene.contact_coupling import ContactCoupling
 from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
 from warpcontact.scene.elements import Body, Contact, Points, Surface
@@ -55,6 +56,7 @@ ADDERS = {
     "shape": "add_shape",
     "shape_contact": "add_shape_contact",
     "particle_contact": "add_particle_contact",
+    "body_contact": "add_body_contact",
 }
 #: Kind of the elements that ``Scene.add_force_element`` adds; the argument ``type`` is the name of their class.
 FORCE_ELEMENT = "force_element"
@@ -273,6 +275,8 @@ def _call_arguments(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]
             pairs = [[element.shapes.index(shape) for shape in pair] for pair in element.excluded]
             excluded = np.array(pairs, dtype=np.int32) if pairs else None
             return "particle_contact", {"exclude": excluded, **_max_depth(element)}, ("exclude",)
+        case BodyContact():
+            return "body_contact", _max_depth(element), ()
     raise TypeError(f"{element.name!r} is a {type(element).__name__} and cannot be serialized")
 
 
@@ -280,7 +284,7 @@ def _motion(body: Body) -> Motion | None:
     return None if type(body.motion) is Free else body.motion
 
 
-def _max_depth(contact: Contact | ShapeContact | ParticleContact) -> dict[str, Any]:
+def _max_depth(contact: Contact | ShapeContact | ParticleContact | BodyContact) -> dict[str, Any]:
     """Returns the argument ``max_depth``; ``None``: no limit."""
     return {"max_depth": contact.max_depth if np.isfinite(contact.max_depth) else None}
 

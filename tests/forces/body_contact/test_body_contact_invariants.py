@@ -15,7 +15,9 @@ def two_boxes(device, envs, *, free=False, sizes=((SIDE,) * 3, (SIDE,) * 3), mes
     scene = wc.Scene(gravity=(0, 0, 0))
     solids = []
     for name, size in zip(("upper", "lower"), sizes, strict=True):
-        body = scene.add_body(mass=1.0, inertia=(1, 1, 1), name=f"{name}_body") if free or name == "upper" else None
+        body = (
+            scene.add_body(mass=1.0, inertia=(1, 1, 1), name=f"{name}_body") if free or name == "upper" else None
+        )
         if mesh:
             solids.append(scene.add_surface(wc.meshes.box(size), body=body, name=name))
         else:
@@ -39,7 +41,10 @@ def test_wrenches_of_two_free_bodies_balance(mesh, device):
     count = 300
     model = two_boxes(device, count, free=True, mesh=mesh)
     position, orientation = poses(count)
-    model["upper_body.position"], model["upper_body.orientation"] = position + np.array([1.0, -2.0, 0.5]), orientation
+    model["upper_body.position"], model["upper_body.orientation"] = (
+        position + np.array([1.0, -2.0, 0.5]),
+        orientation,
+    )
     model["lower_body.position"] = np.tile([1.0, -2.0, 0.5], (count, 1))
     dt = 1e-6
     wc.Simulation(model, dt=dt).step()
@@ -85,7 +90,9 @@ def test_force_does_not_depend_on_the_world_frame(device):
     moved["lower.position"], moved["lower.orientation"] = shift, turn.as_quat()
     force = model.sensor("press.force")
     # Rounding of positions of 6 m, 1e-15 m, over the smallest depths.
-    np.testing.assert_allclose(turn.inv().apply(moved.sensor("press.force")), force, atol=1e-8 * np.abs(force).max())
+    np.testing.assert_allclose(
+        turn.inv().apply(moved.sensor("press.force")), force, atol=1e-8 * np.abs(force).max()
+    )
 
 
 def test_mesh_box_equals_box_shape(device):

@@ -8,7 +8,16 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.geometry.polyhedron import Polyhedron
-from warpcontact.kernels.body_contact.solids import CONVEX, HALF_SPACE, OPEN, Geometries, SolidPose, Solids
+from warpcontact.kernels.body_contact.solids import (
+    CONVEX,
+    FEW_PLANES,
+    HALF_SPACE,
+    HAS_BOUNDARY,
+    MAX_PLANES,
+    Geometries,
+    SolidPose,
+    Solids,
+)
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.types import WORLD
 from warpcontact.scene.body_contact import Solid
@@ -39,7 +48,7 @@ class SolidTables:
         self._polyhedra: list[Polyhedron | None] = []  # None: half-space
         self._known: dict[Any, int] = {}
         # First geometry of each solid; those of the meshes of a surface are consecutive.
-        first = [self._add_geometries(solid) for solid in solids]
+        self._first = [self._add_geometries(solid) for solid in solids]
         self.geometries, self.solids = Geometries(), Solids()
         self._declare_geometries(layout)
         bodies = [WORLD if solid.body is None else solid.body.index for solid in solids]
@@ -49,7 +58,9 @@ class SolidTables:
         indices = [parameters.by_name.get(f"{solid.name}.mesh") for solid in solids]
 
         def content() -> NDArray[Any]:
-            used = [one for own in columns for one in own if one is not None] + [one for one in indices if one]
+            used = [one for own in columns for one in own if one is not None] + [
+                one for one in indices if one is not None
+            ]
             envs = max(len(one.values) for one in used)
             packed: dict[str, list[NDArray[Any]]] = {
                 "position": [],
@@ -57,7 +68,7 @@ class SolidTables:
                 "scale": [],
                 "geometry": [],
             }
-            for (position, orientation, size), start, index in zip(columns, first, indices, strict=True):
+            for (position, orientation, size), start, index in zip(columns, self._first, indices, strict=True):
                 scale = np.ones((1, 1)) if size is None else size.values[:, 0].reshape(len(size.values), -1)
                 numbers = np.full(1, start) if index is None else start + index.values[:, 0]
                 values: dict[str, NDArray[Any]] = {
@@ -78,17 +89,21 @@ class SolidTables:
         """Returns the index of a solid."""
         return self._numbers[solid]
 
+    def face_count(self, solid: Solid) -> int:
+        """Returns the largest number of faces of the geometries of a solid."""
+        first = self._first[self._numbers[solid]]
+        count = len(solid.meshes) if isinstance(solid, Surface) else 1
+        return max(1 if one is None else len(one.faces) for one in self._polyhedra[first : first + count])
+
     def _add_geometries(self, solid: Solid) -> int:
         """Adds the geometries of a solid, unless they are there; returns the number of the first."""
-        if isinstance(solid, Surface):
-            key: Any = tuple(id(mesh) for mesh in solid.meshes)
-            found: list[Polyhedron | None] = [Polyhedron.from_mesh(mesh) for mesh in solid.meshes]
-        else:
-            key = solid.kind
-            found = [None] if solid.kind is Plane else [Polyhedron.unit_box()]
+        key: Any = tuple(map(id, solid.meshes)) if isinstance(solid, Surface) else solid.kind
         if key not in self._known:
             self._known[key] = len(self._polyhedra)
-            self._polyhedra += found
+            if isinstance(solid, Surface):
+                self._polyhedra += [Polyhedron.from_mesh(mesh) for mesh in solid.meshes]
+            else:
+                self._polyhedra.append(None if solid.kind is Plane else Polyhedron.unit_box())
         return self._known[key]
 
     def _declare_geometries(self, layout: "AllocationPlan") -> None:
@@ -111,7 +126,10 @@ class SolidTables:
                 vertex_count += len(polyhedron.vertices)
                 for name, values in zip(("normal", "u_axis", "offset"), polyhedron.planes(), strict=True):
                     tables[name].append(values)
-                tables["flags"].append(CONVEX * polyhedron.is_convex | OPEN * (not polyhedron.is_closed))
+                few = polyhedron.is_convex and len(polyhedron.plane_faces) <= MAX_PLANES
+                tables["flags"].append(
+                    CONVEX * polyhedron.is_convex | HAS_BOUNDARY * (not polyhedron.is_closed) | FEW_PLANES * few
+                )
                 planes = polyhedron.plane_faces
                 lower, upper = polyhedron.bounds
             tables["center"].append(0.5 * (lower + upper))

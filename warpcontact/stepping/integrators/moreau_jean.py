@@ -113,6 +113,12 @@ class MoreauJean(Integrator):
             ValueError: If not, if a contact is swept, or if a name in ``compliant`` does not exist.
         """
         contacts = formulas_of(scene)
+        for body_contact in scene.body_contacts:
+            if body_contact.name not in self.compliant:
+                raise ValueError(
+                    f"{body_contact.name}: MoreauJean supports body contact as a compliant contact only. Use "
+                    f"SemiImplicitEuler, or compliant=[{body_contact.name!r}]"
+                )
         forces = {contact.name for contact in scene.contacts if contact.facing is not None}
         for name in self.compliant:
             if name not in contacts or name in forces:

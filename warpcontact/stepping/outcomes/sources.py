@@ -101,6 +101,8 @@ class SourceResolver:
         self._mesh_contacts = {contact.name for contact in model.scene.contacts}
         self._single_contacts = [contact.name for contact in model.scene.contacts]
         self._single_contacts += [contact.name for contact in model.scene.shape_contacts]
+        self._body_contacts = {contact.name for contact in model.scene.body_contacts}
+        self._single_contacts += self._body_contacts
         self._particle_contacts = {contact.name for contact in model.scene.particle_contacts}
         self._bodies = {body.name for body in model.scene.bodies}
 
@@ -184,6 +186,8 @@ class SourceResolver:
             ValueError: If it is no contact, or a particle contact, whose pairs have no fixed numbers.
         """
         quantity = "mode" if contact in self._nonsmooth else "penetration"
+        if contact in self._body_contacts:
+            quantity = "area"
         name = f"{contact}.{quantity}"
         if contact not in self._single_contacts:
             what = "not a contact"

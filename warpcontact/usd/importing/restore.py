@@ -34,6 +34,8 @@ _FORMULAS: dict[str, type[Formula]] = {
 }
 # Arguments that refer to an element of the scene; ``body`` has no target if it is the world.
 _ELEMENTS = ("body", "points", "surface", "surface_a", "surface_b", "point_a", "point_b", "shape", "other_shape")
+# Arguments that refer to a list of elements.
+_LISTS = ("shapes", "first", "second")
 _ALWAYS_GIVEN = {"point": ("body",), "points": ("body",), "shape": ("body",)}
 
 
@@ -148,7 +150,7 @@ class _Restoration:
         return scene.add_force_element(kinds[given], **values, **targets)
 
     def _plain(self, key: str, value: Any) -> Any:
-        if key in _ELEMENTS or key in _FORMULAS or key in ("material", "mesh", "shapes", "range"):
+        if key in (*_ELEMENTS, *_LISTS, *_FORMULAS, "material", "mesh", "range"):
             raise ValueError(f"{key} must be a prim, got an attribute")
         return value
 
@@ -157,7 +159,7 @@ class _Restoration:
             if self.objects.get(path) is None:
                 raise ValueError(f"{key} must be earlier prims of the description, got {shortened(path)}")
         found = [self.objects[path] for path in paths]
-        if key == "shapes" or (key == "mesh" and len(found) > 1):
+        if key in _LISTS or (key == "mesh" and len(found) > 1):
             return found
         if len(found) != 1:
             raise ValueError(f"{key} must have one target, got {len(found)}")

@@ -1,0 +1,166 @@
+"""Queries of the surface of one solid: crossings with a ray, and depth of a point below the surface."""
+
+import warp as wp
+from warpcontact.kernels.body_contact.solids import (
+    CONVEX,
+    HALF_SPACE,
+    Geometries,
+    SolidPose,
+    corner_count,
+    face_vertex,
+    scaled,
+)
+
+double = wp.float64
+vec3d = wp.vec3d
+
+# Cosine of two normals below which a face is parallel to a ray.
+PARALLEL = wp.constant(double(1.0e-12))
+# Offset of a search from the point where it starts, relative to the size of the solid.
+OFFSET = wp.constant(double(1.0e-12))
+# Distance from an edge, relative to its length, up to which a point beyond it counts as on the face.
+EDGE_TOLERANCE = wp.constant(double(1.0e-12))
+INFINITE = wp.constant(double(wp.inf))
+
+
+@wp.struct
+class SolidGeometry:
+    """One solid of a pair."""
+
+    first_face: wp.int32
+    end_face: wp.int32
+    first_plane: wp.int32
+    end_plane: wp.int32
+    flags: wp.int32  # of its geometry
+    scale: vec3d  # [m per unit]
+    center: vec3d  # of its bounding box [m]
+    half_extents: vec3d  # of its bounding box [m]
+
+
+@wp.struct
+class Crossing:
+    """Where a ray crosses a surface."""
+
+    distance: double  # along the ray; infinite: nowhere [m]
+    leaves: wp.int32  # 1: the ray leaves the solid; 0: it enters the solid
+
+
+@wp.func
+def solid_geometry(geometries: Geometries, pose: SolidPose):
+    """Returns the ``SolidGeometry`` of a solid."""
+    side = SolidGeometry()
+    side.first_face = geometries.face_start[pose.geometry]
+    side.end_face = geometries.face_start[pose.geometry + 1]
+    side.first_plane = geometries.plane_start[pose.geometry]
+    side.end_plane = geometries.plane_start[pose.geometry + 1]
+    side.flags = geometries.flags[pose.geometry]
+    side.scale = pose.scale
+    side.center = scaled(geometries.center[pose.geometry], pose.scale)
+    side.half_extents = scaled(geometries.half_extents[pose.geometry], pose.scale)
+    return side
+
+
+@wp.func
+def plane_offset(geometries: Geometries, side: SolidGeometry, face: int):
+    """Returns the offset of the plane of a face along its normal [m]."""
+    normal = geometries.normal[face]
+    return geometries.offset[face] * wp.dot(wp.cw_mul(normal, normal), side.scale)
+
+
+@wp.func
+def is_on_face(geometries: Geometries, side: SolidGeometry, face: int, position: vec3d):
+    """Returns whether a point of the plane of a face is on the face."""
+    normal = geometries.normal[face]
+    vertices = geometries.face[face]
+    count = corner_count(vertices)
+    previous = face_vertex(geometries, vertices, count - 1, side.scale)
+    for i in range(count):
+        current = face_vertex(geometries, vertices, i, side.scale)
+        edge = current - previous
+        # A point on a common edge is on both faces.
+        if wp.dot(wp.cross(edge, position - previous), normal) < -EDGE_TOLERANCE * wp.length_sq(edge):
+            return False
+        previous = current
+    return True
+
+
+@wp.func
+def first_crossing(geometries: Geometries, side: SolidGeometry, origin: vec3d, direction: vec3d, only_exits: bool):
+    """Returns where a ray in the frame of a solid first crosses its surface.
+
+    Args:
+        geometries: The geometries.
+        side: The solid; not a half-space.
+        origin: Start of the ray [m].
+        direction: Unit vector.
+        only_exits: Whether to ignore places where the ray enters the solid.
+    """
+    result = Crossing()
+    result.distance = INFINITE
+    convex = (side.flags & CONVEX) != 0
+    for face in range(side.first_face, side.end_face):
+        normal = geometries.normal[face]
+        cosine = wp.dot(normal, direction)
+        if wp.abs(cosine) < PARALLEL or ((only_exits or convex) and cosine < double(0.0)):
+            continue
+        distance = (plane_offset(geometries, side, face) - wp.dot(normal, origin)) / cosine
+        if distance < OFFSET * wp.length(side.half_extents) or distance >= result.distance:
+            continue
+        if not convex:
+            if not is_on_face(geometries, side, face, origin + distance * direction):
+                continue
+        result.distance = distance
+        result.leaves = wp.where(cosine > double(0.0), 1, 0)
+    return result
+
+
+@wp.func
+def distance_to_segment(position: vec3d, start: vec3d, end: vec3d):
+    """Returns the distance of a point from a segment [m]."""
+    along = end - start
+    fraction = wp.clamp(wp.dot(position - start, along) / wp.dot(along, along), double(0.0), double(1.0))
+    return wp.length(position - start - fraction * along)
+
+
+@wp.func
+def distance_to_face(geometries: Geometries, side: SolidGeometry, face: int, position: vec3d):
+    """Returns the distance of a point from a face [m]."""
+    normal = geometries.normal[face]
+    height = wp.dot(normal, position) - plane_offset(geometries, side, face)
+    if is_on_face(geometries, side, face, position - height * normal):
+        return wp.abs(height)
+    vertices = geometries.face[face]
+    count = corner_count(vertices)
+    previous = face_vertex(geometries, vertices, count - 1, side.scale)
+    least = INFINITE
+    for i in range(count):
+        current = face_vertex(geometries, vertices, i, side.scale)
+        least = wp.min(least, distance_to_segment(position, previous, current))
+        previous = current
+    return least
+
+
+@wp.func
+def depth_below_surface(geometries: Geometries, side: SolidGeometry, position: vec3d, direction: vec3d):
+    """Returns the distance of a point inside a solid from its surface; 0 or less if the point is outside [m].
+
+    Args:
+        geometries: The geometries.
+        side: The solid.
+        position: The point, in the frame of the solid [m].
+        direction: Direction of a ray that crosses the surface.
+    """
+    if side.flags & HALF_SPACE:
+        return -position[2]
+    convex = (side.flags & CONVEX) != 0
+    if not convex:
+        crossing = first_crossing(geometries, side, position, direction, False)
+        if crossing.leaves == 0:
+            return double(0.0)
+    depth = INFINITE
+    for face in range(side.first_face, side.end_face):
+        if convex:
+            depth = wp.min(depth, plane_offset(geometries, side, face) - wp.dot(geometries.normal[face], position))
+        else:
+            depth = wp.min(depth, distance_to_face(geometries, side, face, position))
+    return depth

@@ -1,0 +1,44 @@
+"""Body contacts in experiment files: keys, errors, recording."""
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+
+STUDY = {
+    "envs": 2,
+    "duration": 0.02,
+    "dt": 1e-3,
+    "gravity": [0.0, 0.0, 0.0],
+    "body": [{"name": "crate", "mass": 1.0, "inertia": [0.01] * 3, "position": [0.0, 0.0, 0.099]}],
+    "shape": [
+        {"name": "box", "body": "crate", "form": {"type": "RoundedBox", "half_extents": [0.1, 0.1, 0.1]}},
+        {"name": "floor", "form": {"type": "Plane"}},
+    ],
+    "material": [{"name": "soft", "law": {"type": "ElasticFoundation", "stiffness": 1e4}}],
+    "body_contact": [{"name": "press", "first": "crate", "second": ["floor"], "material": "soft"}],
+    "variation": {"press.law.stiffness": {"values": [1e4, 2e4]}},
+    "record": {"every": 0.01, "sensors": ["press.force", "press.area", "press.center"]},
+}
+
+
+def test_body_contact_of_an_experiment_is_varied_recorded_and_stored(tmp_path, device):
+    run = wc.Experiment.from_dict(STUDY).run(tmp_path / "out", device=device)
+    force = run.recording["press.force"].values[0]
+    # k A δ, with 1 mm on a square of 0.2 m.
+    np.testing.assert_allclose(force, [[0, 0, 0.4], [0, 0, 0.8]], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"first": "crat"}, r"body_contact\[0\].*first.*'crate'"),
+        ({"second": ["floor", "flor"]}, r"body_contact\[0\].*second.1..*'floor'"),
+        ({"reference": "third"}, "reference"),
+        ({"first": "floor", "second": "crate"}, "half-space, which must be second"),
+    ],
+)
+def test_invalid_body_contact_of_an_experiment_is_refused(changes, message):
+    study = STUDY | {"body_contact": [STUDY["body_contact"][0] | changes]}
+    with pytest.raises(wc.ExperimentError, match=message):
+        wc.Experiment.from_dict(study)

@@ -1,0 +1,139 @@
+"""Motion under body contact: vibration, rest, stacks, and friction of patches in closed form."""
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+
+GRAVITY = 9.81
+CUBE = 0.2  # m
+MASS = 8.0  # kg
+K = 2e7  # Pa/m
+INERTIA = MASS * CUBE**2 / 6
+
+
+def cube_on_plane(
+    device, envs=1, *, damping=0.0, friction=None, gravity=(0, 0, -GRAVITY), size=(CUBE, CUBE, CUBE)
+):
+    """Returns a model of a box above a half-space, at its depth at rest."""
+    scene = wc.Scene(gravity=gravity)
+    depth = MASS * GRAVITY / (K * size[0] * size[1])
+    body = scene.add_body(mass=MASS, inertia=[INERTIA] * 3, position=(0, 0, size[2] / 2 - depth), name="cube")
+    shape = scene.add_shape(body, wc.shapes.RoundedBox(tuple(np.array(size) / 2)), name="shape")
+    floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
+    law = wc.laws.ElasticFoundation(stiffness=K, damping=damping)
+    scene.add_body_contact(shape, floor, wc.ContactMaterial(law=law, friction=friction), name="touch")
+    return scene.build(envs=envs, device=device, precision="float64")
+
+
+def angular_frequency(times, values):
+    """Returns the angular frequency of an oscillation about its mean, from its zero crossings."""
+    values = values - values.mean()
+    up = np.flatnonzero((values[:-1] < 0) & (values[1:] >= 0))
+    crossings = times[up] - values[up] * (times[up + 1] - times[up]) / (values[up + 1] - values[up])
+    return 2 * np.pi / np.diff(crossings).mean()
+
+
+def test_heave_and_rocking_have_the_frequencies_of_the_closed_form(device):
+    model = cube_on_plane(device, envs=2)
+    depth = MASS * GRAVITY / (K * CUBE**2)
+    model["cube.position"] = [[0, 0, CUBE / 2 - 1.01 * depth], [0, 0, CUBE / 2 - depth]]
+    angle = 1e-5
+    model["cube.orientation"] = [[0, 0, 0, 1], [0, np.sin(angle / 2), 0, np.cos(angle / 2)]]
+    dt = 1e-5
+    recording = wc.Simulation(model, dt=dt).run(0.8, record=["cube.position", "cube.orientation"], every=1e-4)
+    times = recording["time"].values
+    heave = recording["cube.position"].values[:, 0, 2]
+    rocking = recording["cube.orientation"].values[:, 1, 1]
+    expected_heave = np.sqrt(K * CUBE**2 / MASS)
+    expected_rocking = np.sqrt((K * CUBE**4 / 12 - MASS * GRAVITY * (CUBE / 2 - depth)) / INERTIA)
+    # First order in dt ω = 5e-4, and in the amplitude.
+    assert angular_frequency(times, heave) == pytest.approx(expected_heave, rel=1e-3)
+    assert angular_frequency(times, rocking) == pytest.approx(expected_rocking, rel=2e-3)
+
+
+def cundall_strack(mu):
+    """Returns friction with a stiff, well damped spring."""
+    return wc.friction.CundallStrack.from_overshoot(
+        mu_static=mu, mu_dynamic=mu, stiffness=1e6, mass=MASS, overshoot=0.01
+    )
+
+
+def test_tilted_cube_comes_to_rest(device):
+    model = cube_on_plane(device, envs=2, damping=50.0, friction=cundall_strack(0.5))
+    angle = np.radians(5)
+    tilt = [0, np.sin(angle / 2), 0, np.cos(angle / 2)]
+    model["cube.position"] = [[0, 0, 0.12], [0, 0, 0.12]]
+    model["cube.orientation"] = [tilt, [tilt[1] / 2, tilt[1], 0.0, tilt[3]]]
+    sim = wc.Simulation(model, dt=1e-4)
+    sim.step(20_000)
+    before = model.sensor("cube.position")
+    sim.step(10_000)
+    depth = MASS * GRAVITY / (K * CUBE**2)
+    np.testing.assert_allclose(model.sensor("cube.position")[:, 2], CUBE / 2 - depth, atol=1e-9)
+    assert np.abs(model.sensor("cube.linear_velocity")).max() < 1e-9
+    assert np.abs(model.sensor("cube.angular_velocity")).max() < 1e-9
+    assert np.abs(model.sensor("cube.position") - before).max() < 1e-9
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), MASS * GRAVITY, rtol=1e-9)
+
+
+def test_friction_of_a_patch_holds_and_slides_at_its_limits(device):
+    """Force and torque at rest below μ N and μ N r_f; motion above them."""
+    mu = 0.5
+    load = mu * MASS * GRAVITY
+    radius = CUBE * (np.sqrt(2) + np.arcsinh(1)) / 6  # of friction of a square
+    model = cube_on_plane(device, envs=4, damping=50.0, friction=cundall_strack(mu))
+    force, torque = np.zeros((4, 3)), np.zeros((4, 3))
+    force[:2, 0] = np.array([0.98, 1.02]) * load
+    torque[2:, 2] = np.array([0.98, 1.02]) * load * radius
+    model["cube.external_force"], model["cube.external_torque"] = force, torque
+    # A force at the center of mass tips: its torque moves the center of pressure.
+    torque[:2, 1] = -force[:2, 0] * CUBE / 2
+    model["cube.external_torque"] = torque
+    sim = wc.Simulation(model, dt=5e-5)
+    sim.step(20_000)
+    speed = np.abs(model.sensor("cube.linear_velocity")[:, 0])
+    spin = np.abs(model.sensor("cube.angular_velocity")[:, 2])
+    assert speed[0] < 1e-6
+    assert speed[1] == pytest.approx(0.02 * load / MASS * sim.time, rel=0.1)
+    assert spin[2] < 1e-6
+    assert spin[3] == pytest.approx(0.02 * load * radius / INERTIA * sim.time, rel=0.1)
+
+
+def test_coulomb_friction_of_sliding_and_spinning_squares(device):
+    """Friction without history acts at each point: force μ N in pure sliding, torque μ N r_f in pure spin."""
+    friction = wc.friction.Tanh(mu=0.5, velocity_scale=1e-9)
+    model = cube_on_plane(device, envs=2, friction=friction)
+    model["cube.linear_velocity"] = [[1.0, 0, 0], [0, 0, 0]]
+    model["cube.angular_velocity"] = [[0, 0, 0], [0, 0, 1.0]]
+    load = 0.5 * MASS * GRAVITY
+    np.testing.assert_allclose(model.sensor("touch.friction_force")[0], [-load, 0, 0], atol=1e-9 * load)
+    radius = CUBE * (np.sqrt(2) + np.arcsinh(1)) / 6
+    # Quadrature of a direction field that is singular at the center.
+    assert model.sensor("touch.torque")[1, 2] == pytest.approx(-load * radius, rel=5e-3)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.005])
+def test_stack_of_boxes_stays_at_rest(offset, device):
+    scene = wc.Scene()
+    law = wc.laws.ElasticFoundation(stiffness=K, damping=50.0)
+    friction = cundall_strack(0.5)
+    below = scene.add_shape(None, wc.shapes.Plane(), name="floor")
+    for i in range(4):
+        body = scene.add_body(
+            mass=MASS, inertia=[INERTIA] * 3, position=(offset * i, 0, (i + 0.5) * CUBE), name=f"box_{i}"
+        )
+        shape = scene.add_shape(body, wc.shapes.RoundedBox((CUBE / 2,) * 3), name=f"shape_{i}")
+        material = wc.ContactMaterial(law=law, friction=friction)
+        scene.add_body_contact(shape, below, material, name=f"touch_{i}")
+        below = shape
+    model = scene.build(envs=1, device=device, precision="float64")
+    sim = wc.Simulation(model, dt=5e-5)
+    sim.step(70_000)
+    before = [model.sensor(f"box_{i}.position") for i in range(4)]
+    sim.step(10_000)
+    for i in range(4):
+        assert np.abs(model.sensor(f"box_{i}.position") - before[i]).max() < 1e-6
+        assert np.abs(model.sensor(f"box_{i}.linear_velocity")).max() < 1e-6
+        weight = (4 - i) * MASS * GRAVITY
+        assert model.sensor(f"touch_{i}.normal_force")[0] == pytest.approx(weight, rel=1e-6)
