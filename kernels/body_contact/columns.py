@@ -15,6 +15,7 @@ import warp as wp
 from warpcontact.kernels.body_contact.polygons import MAX_CORNERS, Polygon, centroid
 from warpcontact.kernels.body_contact.solids import (
     HALF_SPACE,
+    MAX_PLANES,
     Geometries,
     RelativePose,
     corner_count,
@@ -31,6 +32,7 @@ RAMP = wp.constant(double(1.0e-9))
 
 corner_coordinates = wp.types.matrix(shape=(4, 2), dtype=double)
 corner_buffers = wp.types.matrix(shape=(2 * MAX_CORNERS, 3), dtype=double)
+plane_rows = wp.types.matrix(shape=(MAX_PLANES, 4), dtype=double)
 
 
 @wp.struct
@@ -227,37 +229,54 @@ def column_polygon(
 
 
 @wp.func
+def planes_from_face(geometries: Geometries, frame: FaceFrame, other: SolidGeometry):
+    """Returns the planes of a convex solid with few planes as seen from a face: rows (a, b, c, h).
+
+    A point (u, v, t) is at h − a u − b v − c t inside the plane [m]. c is the cosine of the inward normal of the face and the
+    normal of the plane: columns leave at planes with c > 0.
+    """
+    planes = plane_rows()
+    for i in range(other.end_plane - other.first_plane):
+        face = geometries.plane_face[other.first_plane + i]
+        normal = frame.projection * geometries.normal[face]
+        for k in range(3):
+            planes[i, k] = normal[k]
+        planes[i, 3] = plane_offset(geometries, other, face) + wp.dot(normal, frame.shift)
+    return planes
+
+
+@wp.func
 def convex_polygon(
-    geometries: Geometries,
-    frame: FaceFrame,
-    other: SolidGeometry,
-    exit_plane: int,
-    shallowest: double,
-    deepest: double,
+    frame: FaceFrame, other: SolidGeometry, planes: plane_rows, exit: int, shallowest: double, deepest: double
 ):
-    """Returns the base of the columns on a face that are inside a convex solid.
+    """Returns the base of the columns on a face that are inside a convex solid with few planes.
 
     Args:
-        geometries: The geometries.
         frame: The face on which the columns stand.
         other: The convex solid.
-        exit_plane: The plane at which the columns leave the solid. −1: any; then the depths at the corners are 0.
+        planes: Its planes, from ``planes_from_face``.
+        exit: Number of the plane at which the columns leave the solid. −1: any; then the depths at the corners are 0.
         shallowest: Smallest depth, with an exit plane [m].
         deepest: Largest depth, with an exit plane [m].
     """
     result = Polygon()
-    planes = other.end_plane - other.first_plane
-    # Depth of the columns: exit_height / exit_cosine, where the height is linear in u and v.
-    exit_normal = vec3d()
+    count_of_planes = other.end_plane - other.first_plane
+    # Depth of the columns: (exit_height − exit_u u − exit_v v) / exit_cosine.
+    exit_u = double(0.0)
+    exit_v = double(0.0)
+    exit_cosine = double(0.0)
     exit_height = double(0.0)
-    cuts = planes
-    if exit_plane >= 0:
-        exit_face = geometries.plane_face[exit_plane]
-        exit_normal = frame.projection * geometries.normal[exit_face]
-        if exit_normal[2] < PARALLEL:
+    first_cut = wp.int32(0)
+    cuts = count_of_planes
+    if exit >= 0:
+        exit_u = planes[exit, 0]
+        exit_v = planes[exit, 1]
+        exit_cosine = planes[exit, 2]
+        exit_height = planes[exit, 3]
+        if exit_cosine < PARALLEL:
             return result
-        exit_height = plane_offset(geometries, other, exit_face) + wp.dot(exit_normal, frame.shift)
-        cuts = 2 + 2 * planes
+        first_cut = -2
+        cuts = 2 * count_of_planes
     # Two buffers of corners: each cut reads one and writes the other.
     rows = corner_buffers()
     count = frame.count
@@ -265,48 +284,37 @@ def convex_polygon(
         rows[i, 0] = frame.corners[i, 0]
         rows[i, 1] = frame.corners[i, 1]
     source = wp.int32(0)
-    for number in range(cuts):
+    for cut in range(first_cut, cuts):
         # Points with factor_u u + factor_v v + offset ≥ 0 remain.
-        cut = number
-        if exit_plane >= 0:
-            cut = number - 2
         factor_u = double(0.0)
         factor_v = double(0.0)
         offset = double(0.0)
         if cut == -2:
-            # Depth at most ``deepest``.
-            if deepest == INFINITE:
-                continue
-            factor_u = exit_normal[0]
-            factor_v = exit_normal[1]
-            offset = deepest * exit_normal[2] - exit_height
+            # Depth at most ``deepest``. (A plain ``factor_u = exit_u`` would be an alias in Warp.)
+            factor_u = double(1.0) * exit_u
+            factor_v = double(1.0) * exit_v
+            offset = deepest * exit_cosine - exit_height
         elif cut == -1:
             # Depth at least ``shallowest``.
-            factor_u = -exit_normal[0]
-            factor_v = -exit_normal[1]
-            offset = exit_height - shallowest * exit_normal[2]
-        else:
-            plane = cut
-            if cut >= planes:
-                plane = cut - planes
-            plane += other.first_plane
-            face = geometries.plane_face[plane]
-            normal = frame.projection * geometries.normal[face]
-            height = plane_offset(geometries, other, face) + wp.dot(normal, frame.shift)
-            if cut < planes:
-                # Inside the plane; columns start inside planes that they would enter, at least within the ramp.
-                factor_u = -normal[0]
-                factor_v = -normal[1]
-                offset = height
-                if normal[2] < double(0.0):
-                    offset += ramp_height(other)
-            else:
-                # The column leaves at the exit plane, not at this one.
-                if plane == exit_plane or normal[2] < PARALLEL:
-                    continue
-                factor_u = normal[2] * exit_normal[0] - exit_normal[2] * normal[0]
-                factor_v = normal[2] * exit_normal[1] - exit_normal[2] * normal[1]
-                offset = exit_normal[2] * height - normal[2] * exit_height
+            factor_u = -exit_u
+            factor_v = -exit_v
+            offset = exit_height - shallowest * exit_cosine
+        elif cut >= 0 and cut < count_of_planes:
+            # Inside the plane; at planes that columns would enter, at least within the ramp.
+            factor_u = -planes[cut, 0]
+            factor_v = -planes[cut, 1]
+            offset = planes[cut, 3]
+            if planes[cut, 2] < double(0.0):
+                offset += ramp_height(other)
+        elif cut >= 0:
+            # The column leaves at the exit plane, not at this one.
+            plane = cut - count_of_planes
+            cosine = planes[plane, 2]
+            if plane == exit or cosine < PARALLEL:
+                continue
+            factor_u = cosine * exit_u - exit_cosine * planes[plane, 0]
+            factor_v = cosine * exit_v - exit_cosine * planes[plane, 1]
+            offset = exit_cosine * planes[plane, 3] - cosine * exit_height
         least = INFINITE
         for i in range(count):
             value = factor_u * rows[source + i, 0] + factor_v * rows[source + i, 1] + offset
@@ -344,15 +352,12 @@ def convex_polygon(
         v = rows[source + i, 1]
         result.corners[i, 0] = u
         result.corners[i, 1] = v
-        if exit_plane >= 0:
-            result.corners[i, 2] = (exit_height - exit_normal[0] * u - exit_normal[1] * v) / exit_normal[2]
+        if exit >= 0:
+            result.corners[i, 2] = (exit_height - exit_u * u - exit_v * v) / exit_cosine
     result.weight = double(1.0)
     middle = centroid(result)
-    for plane in range(other.first_plane, other.end_plane):
-        face = geometries.plane_face[plane]
-        normal = frame.projection * geometries.normal[face]
-        if normal[2] < double(0.0):
-            height = plane_offset(geometries, other, face) + wp.dot(normal, frame.shift)
-            height -= normal[0] * middle[0] + normal[1] * middle[1]
+    for plane in range(count_of_planes):
+        if planes[plane, 2] < double(0.0):
+            height = planes[plane, 3] - planes[plane, 0] * middle[0] - planes[plane, 1] * middle[1]
             result.weight = result.weight * entry_weight(other, height)
     return result

@@ -10,6 +10,8 @@ from warpcontact.kernels.body_contact.columns import (
     face_frame,
     is_apart,
     is_exit,
+    plane_rows,
+    planes_from_face,
     position_on_face,
     ramp_height,
 )
@@ -50,6 +52,7 @@ from warpcontact.kernels.contact.contact_evaluation import (
     kinematics_structs,
 )
 from warpcontact.kernels.frames import functions as frame_functions
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     CONTACT,
@@ -104,6 +107,8 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
     has_patches = bool(contact_model.friction.memories)
+    # Triangles around the center of area make the result independent of the first corner, if the quadrature is not exact.
+    is_exact = contact_model.law.bilinear and (has_patches or contact_model.friction is Frictionless)
     evaluate_contact = functions(contact_model, real, has_joints, has_friction=not has_patches).evaluate_contact
     friction = patch_functions(contact_model.friction, real)
     friction_of_patch, clear_history = friction.friction, friction.clear_history
@@ -210,9 +215,11 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                     by_planes = (other.flags & FEW_PLANES) != 0 and not half_space
                     first_part = other.first_face
                     end_part = other.end_face
+                    planes = plane_rows()
                     if by_planes:
-                        first_part = other.first_plane
-                        end_part = other.end_plane
+                        planes = planes_from_face(geometries, face_plane, other)
+                        first_part = 0
+                        end_part = other.end_plane - other.first_plane
                     for number in range(first_part, end_part):
                         is_entry = wp.bool(False)
                         if not by_planes:
@@ -230,17 +237,24 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 deepest = NO_WEIGHT * overlap.depth
                             piece = Polygon()
                             if by_planes:
-                                piece = convex_polygon(geometries, face_plane, other, number, shallowest, deepest)
+                                piece = convex_polygon(face_plane, other, planes, number, shallowest, deepest)
                             else:
                                 piece = column_polygon(geometries, face_plane, other, number, shallowest, deepest)
                             if piece.count == 0:
                                 continue
-                            # Triangles around the center of area, so that the result does not depend on the first corner.
-                            center = centroid(piece)
+                            triangles = piece.count
+                            center = corner(piece, 0)
+                            if wp.static(is_exact):
+                                triangles -= 2
+                            else:
+                                center = centroid(piece)
                             sign = wp.where(is_entry, -share, share) * piece.weight
-                            for sample in range(RULE_SIZE * piece.count):
-                                corner_1 = corner(piece, sample // RULE_SIZE)
-                                corner_2 = corner(piece, (sample // RULE_SIZE + 1) % piece.count)
+                            for sample in range(RULE_SIZE * triangles):
+                                side_number = sample // RULE_SIZE
+                                if wp.static(is_exact):
+                                    side_number += 1
+                                corner_1 = corner(piece, side_number)
+                                corner_2 = corner(piece, (side_number + 1) % piece.count)
                                 point = quadrature_point(center, corner_1, corner_2, sample % RULE_SIZE)
                                 area = sign * point.weight * wp.abs(signed_area(center, corner_1, corner_2))
                                 base = position_on_face(face_plane, point.u, point.v)
@@ -253,7 +267,8 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                     start += OFFSET * wp.length(other.half_extents) * direction
                                     depth += first_crossing(geometries, other, start, direction, True).distance
                                 weight = area * column_weight(depth, overlap, half_space)
-                                if weight == double(0.0):
+                                # Rounding can make the depth at a border negative.
+                                if weight == double(0.0) or depth <= double(0.0):
                                     continue
                                 acting = base - kappa * depth * face_plane.normal
                                 offset = origin + rotation * acting

@@ -17,6 +17,7 @@ from warpcontact.kernels.body_contact.columns import (
     face_frame,
     is_apart,
     is_exit,
+    planes_from_face,
     position_on_face,
     ramp_height,
 )
@@ -140,7 +141,8 @@ def overlap_of(geometries: Geometries, first: SolidGeometry, second: SolidGeomet
                 continue
             area = double(0.0)
             if frame.count > 0 and (other.flags & FEW_PLANES) != 0:
-                polygon = convex_polygon(geometries, frame, other, -1, double(0.0), INFINITE)
+                planes = planes_from_face(geometries, frame, other)
+                polygon = convex_polygon(frame, other, planes, -1, double(0.0), INFINITE)
                 if polygon.count > 0:
                     area = polygon.weight * polygon_area(polygon)
                     result.depth = deepest_of(geometries, frame, other, pose, polygon, result.depth)

@@ -47,6 +47,8 @@ class Law(Formula):
     pulls: ClassVar[bool] = False
     #: Device function of the pull-off force; ``None``: the tension at first touch. Only with ``pulls``.
     pull_off: ClassVar[wp.Function | None] = None
+    #: Whether the force is a product of linear functions of δ and of δ̇, so that quadrature over an area is exact.
+    bilinear: ClassVar[bool] = False
     #: Exponent of the elastic part if it is fixed. Laws with a parameter ``exponent`` do not set it.
     power: ClassVar[float | None] = None
 

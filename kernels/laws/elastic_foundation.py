@@ -22,6 +22,7 @@ class ElasticFoundation(Law):
     reference = "elastic foundation model of Simbody (ElasticFoundationForce)"
     provenance = "S"
     validity = "layers much thinner than the contact is wide"
+    bilinear = True
 
     stiffness: float = parameter("Pa/m", "foundation modulus k", above=0.0)
     area: float | None = parameter("m²", "area a of the point, its own if left out", default=None, above=0.0)

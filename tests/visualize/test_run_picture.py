@@ -155,7 +155,7 @@ def recorded(*names, envs=3, records=50, **parameters):
         recording[name].attrs["units"] = "N" if name.endswith("force") else "m"
     named = [SimpleNamespace(name=name) for name in ("a", "b", "s", "ball")]
     recording.scene = SimpleNamespace(
-        contacts=named[:2], shape_contacts=[], particle_contacts=[], contact_couplings=[], couplings=named[2:3],
+        contacts=named[:2], shape_contacts=[], particle_contacts=[], body_contacts=[], contact_couplings=[], couplings=named[2:3],
         bodies=named[3:],
     )  # fmt: skip
     return recording
