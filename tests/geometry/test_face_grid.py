@@ -341,7 +341,9 @@ def test_points_pushed_through_a_plate_are_not_culled_by_the_face_grid(clear_cac
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("beside", [1.5, 2.0, 2.1])
+@pytest.mark.parametrize(
+    "beside", [1.5, pytest.param(2.0, marks=pytest.mark.slow), pytest.param(2.1, marks=pytest.mark.slow)]
+)
 def test_points_outside_the_boundary_do_not_delay_culling_of_others(beside):
     """At any distance; one is 2 m outside the boundary."""
     plane = wc.Mesh([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])

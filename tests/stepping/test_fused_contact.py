@@ -101,7 +101,7 @@ def test_fused_contact_on_gpu_equals_staged_contact(name, few, monitored, monkey
 
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("fused", [True, False])
+@pytest.mark.parametrize("fused", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_culling_of_many_contacts_on_gpu_matches_few_contacts(fused, precision, monkeypatch, device):
     """Results equal those of few contacts, whose gap is evaluated in each step; larger radii clear the cache."""
     if device == "cpu":

@@ -39,7 +39,7 @@ def kernels_of(sim):
     ("name", "precision"),
     [
         *((name, "float32") for name in SINGLE_BODY_SCENES),
-        ("points in clusters", "float64"),
+        pytest.param("points in clusters", "float64", marks=pytest.mark.slow),
         pytest.param("sphere with history", "float64", marks=pytest.mark.slow),
     ],
 )

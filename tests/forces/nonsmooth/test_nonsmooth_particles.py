@@ -265,6 +265,7 @@ def test_nonsmooth_heap_presses_on_the_floor_with_its_weight(settled):
         np.testing.assert_allclose(model.sensor("pile.force")[env], force, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skin", [0.05 * RADIUS, 0.9 * RADIUS])
 def test_nonsmooth_results_do_not_depend_on_neighbor_list_rebuilds(settled, skin, device):
     """The numbers of iterations and the results are bitwise equal; another warm start would change them."""
