@@ -19,6 +19,10 @@ from warpcontact.validation.warning_levels import RunWarning, caller_stacklevel
 KernelLists = Callable[[str], tuple[list[wp.Kernel], list[wp.Kernel]]]
 
 
+# Number of chunks of steps before release builds are requested.
+_FIRST_CHUNKS = 2
+
+
 class StagedStart:
     """Loads the kernels of a simulation, and chooses its launch shape until all release builds are compiled.
 
@@ -38,7 +42,7 @@ class StagedStart:
         self._threads = threads
         # Kernels whose release builds are missing: those of steps, and those of steps and frames.
         self._missing: tuple[list[wp.Kernel], list[wp.Kernel]] = ([], [])
-        self._has_stepped = False
+        self._chunks = 0
         # Requests for release builds: that of the kernels of a step, and those of others.
         self._for_steps: CompileRequest | None = None
         self._for_others: list[CompileRequest] = []
@@ -76,7 +80,7 @@ class StagedStart:
         load_all(kernels(self.fastest_shape)[1], cpu, self._threads)
         self.is_over = not missing and not self._for_steps_unfinished
         self._missing = missing, [*self._missing[1], *every]
-        self._has_stepped = False
+        self._chunks = 0
 
     def load_release_builds(self, kernels: Iterable[wp.Kernel]) -> None:
         """Compiles release builds of all kernels of steps now, in this process."""
@@ -87,16 +91,16 @@ class StagedStart:
     def take_compiled(self) -> bool:
         """Takes release builds that were loaded; returns whether steps must be prepared again.
 
-        It must be called before each chunk of steps. The second call requests the missing builds, because generating
-        their sources would delay the first step.
+        It must be called before each chunk of steps. The missing builds are requested after the first chunks, because
+        generating their sources would delay these chunks, which capture graphs.
         """
-        if self._has_stepped and self._missing[1]:
+        if self._chunks >= _FIRST_CHUNKS and self._missing[1]:
             for_steps, others = self._missing
             if for_steps and self._for_steps is None:
                 self._for_steps = request(for_steps)
             self._for_others.append(request(others))
             self._missing = [], []
-        self._has_stepped = True
+        self._chunks += 1
         if self._for_steps is not None or self._for_others:
             resume_after_fork()
         done = [one for one in self._requests() if one.is_done]
