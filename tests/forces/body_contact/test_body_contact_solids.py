@@ -1,0 +1,160 @@
+"""Body contact of solids other than boxes: submerged bodies, prisms with many faces, open surfaces, refusals."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+import warpcontact as wc
+
+K = 1e8  # Pa/m
+MATERIAL = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=K))
+
+
+def pressed(upper, lower, position, device, orientation=(0, 0, 0, 1)):
+    """Returns a model of a mesh on a body in contact with a shape or mesh of the world."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    body = scene.add_body(mass=1.0, inertia=(1, 1, 1), position=position, orientation=orientation, name="body")
+    first = scene.add_surface(upper, body=body, name="upper")
+    if isinstance(lower, wc.Mesh):
+        second = scene.add_surface(lower, name="lower")
+    else:
+        second = scene.add_shape(None, lower, name="lower")
+    scene.add_body_contact(first, second, MATERIAL, name="press")
+    return scene.build(envs=1, device=device, precision="float64")
+
+
+def mesh_of(shape):
+    return wc.Mesh(shape.vertices, shape.faces)
+
+
+@pytest.mark.parametrize("depth", [0.03, 0.1, 0.5])
+def test_force_on_a_half_space_is_that_of_the_volume_below(depth, device):
+    """Also of a body that is wholly below the plane, at the center of its volume."""
+    mesh = mesh_of(trimesh.creation.icosphere(subdivisions=2, radius=0.1))
+    turn = Rotation.from_rotvec([0.3, 0.2, 0.1])
+    model = pressed(mesh, wc.shapes.Plane(), (0.02, 0.01, 0.1 - depth), device, turn.as_quat())
+    center = np.array([0.02, 0.01, 0.1 - depth])
+    sphere = trimesh.Trimesh(turn.apply(mesh.vertices.copy()) + center, mesh.faces.copy())
+    vertices, faces, *_ = trimesh.intersections.slice_faces_plane(
+        sphere.vertices, sphere.faces, np.array([0, 0, -1.0]), np.zeros(3)
+    )
+    # Volume and moments by the flux of (0, 0, z), (0, 0, x z) and (0, 0, y z), which vanishes at z = 0. The midpoints of
+    # edges integrate them exactly.
+    corners = vertices[faces]
+    middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
+    area_z = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    volume = (area_z * middles[..., 2].mean(axis=1)).sum()
+    moment = ((middles[..., :2] - center[:2]) * middles[..., 2:]).mean(axis=1)
+    moment = (area_z[:, None] * moment).sum(axis=0)
+    np.testing.assert_allclose(model.sensor("press.force")[0], [0, 0, K * volume], rtol=1e-9, atol=1e-6)
+    torque = K * np.array([moment[1], -moment[0], 0.0])
+    np.testing.assert_allclose(model.sensor("press.torque")[0], torque, atol=1e-9 * K * volume)
+    assert model.sensor("press.depth")[0] == pytest.approx(-sphere.vertices[:, 2].min())
+
+
+@pytest.mark.parametrize("sections", [5, 8, 32])
+@pytest.mark.parametrize("tilt", [0.0, 0.002])
+def test_prism_standing_on_a_box_carries_the_load_of_its_base(sections, tilt, device):
+    """Few and many planes take different paths, with the same result as on a half-space."""
+    prism = mesh_of(trimesh.creation.cylinder(radius=0.05, height=0.2, sections=sections))
+    base = wc.meshes.box((0.4, 0.4, 0.1))
+    turn = Rotation.from_rotvec([0, tilt, 0]).as_quat()
+    on_box = pressed(prism, base, (0, 0, 0.149), device, turn)
+    on_plane = pressed(prism, wc.shapes.Plane(), (0, 0, 0.099), device, turn)
+    force = on_plane.sensor("press.force")[0]
+    if tilt == 0.0:
+        area = 0.5 * sections * 0.05**2 * np.sin(2 * np.pi / sections)
+        assert force[2] == pytest.approx(K * area * 1e-3, rel=1e-9)
+    # A half-space also carries what is beyond the edge of the base on the plane: δ tan(tilt) of its width.
+    tolerance = 1e-9 + tilt * 1e-3 / 0.05
+    np.testing.assert_allclose(on_box.sensor("press.force")[0], force, atol=tolerance * force[2])
+    torque = on_plane.sensor("press.torque")[0]
+    np.testing.assert_allclose(on_box.sensor("press.torque")[0], torque, atol=0.1 * tolerance * force[2])
+
+
+def test_open_surface_is_the_reference(device):
+    model = pressed(
+        wc.meshes.box((0.1, 0.1, 0.1)), wc.meshes.grid((1.0, 1.0), (7, 7)), (0.01, 0.02, 0.049), device
+    )
+    np.testing.assert_allclose(model.sensor("press.force")[0], [0, 0, K * 0.01 * 1e-3], rtol=1e-9, atol=1e-6)
+    assert model.sensor("press.reference")[0] == 1.0
+
+
+def scene_with(*names):
+    scene = wc.Scene()
+    body = scene.add_body(mass=1.0, inertia=(1, 1, 1), name="body")
+    made = {
+        "box": lambda: scene.add_shape(body, wc.shapes.RoundedBox((0.1, 0.1, 0.1)), name="box"),
+        "round": lambda: scene.add_shape(body, wc.shapes.RoundedBox((0.1, 0.1, 0.1), 0.01), name="round"),
+        "ball": lambda: scene.add_shape(body, wc.shapes.Sphere(0.1), name="ball"),
+        "sheet": lambda: scene.add_surface(wc.meshes.grid((1, 1)), body=body, name="sheet"),
+        "hollow": lambda: scene.add_surface(wc.meshes.box((1, 1, 1)), body=body, flip=True, name="hollow"),
+        "floor": lambda: scene.add_shape(None, wc.shapes.Plane(), name="floor"),
+    }
+    return scene, [made[name]() for name in names]
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (
+            ("ball", "floor"),
+            r"'ball' is a Sphere; body contact supports meshes and the shapes RoundedBox and Plane",
+        ),
+        (("round", "floor"), r"'round' has rounded edges, of radius 0\.01 m"),
+        (("sheet", "floor"), r"'sheet' is open, and must be second"),
+        (("hollow", "floor"), r"'hollow' enclose no volume, or are oriented inward"),
+        (("floor", "box"), r"'floor' is a half-space, which must be second"),
+        (("box", "box"), r"all solids are fixed to body 'body'"),
+    ],
+)
+def test_unsupported_solids_are_refused(names, message):
+    scene, solids = scene_with(*dict.fromkeys(names))
+    with pytest.raises(ValueError, match=message):
+        scene.add_body_contact(solids[0], solids[-1], MATERIAL)
+    assert not scene.body_contacts
+
+
+@pytest.mark.parametrize(
+    ("material", "message"),
+    [
+        (wc.ContactMaterial(law=wc.laws.Rigid()), "is Rigid; body contact needs a compliant law"),
+        (wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1.0, area=1.0)), "has an area; leave it out"),
+        (wc.ContactMaterial(law=wc.laws.HertzElastic(modulus=1e9)), "needs a radius of curvature"),
+        (
+            wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0), torsion=wc.friction.Tanh(mu=0.1)),
+            "has torsion Tanh; body contact has no torsion friction",
+        ),
+    ],
+)
+def test_unsupported_materials_are_refused(material, message):
+    scene, (box, floor) = scene_with("box", "floor")
+    with pytest.raises(ValueError, match=message):
+        scene.add_body_contact(box, floor, material)
+
+
+def test_moreau_jean_needs_compliant_body_contact():
+    scene, (box, floor) = scene_with("box", "floor")
+    scene.add_body_contact(box, floor, MATERIAL, name="press")
+    model = scene.build(envs=1, device="cpu")
+    with pytest.raises(ValueError, match="press: MoreauJean supports body contact as a compliant contact only"):
+        wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean())
+
+
+def test_meshes_with_too_many_faces_are_refused():
+    scene = wc.Scene()
+    body = scene.add_body(mass=1.0, inertia=(1, 1, 1))
+    ball = scene.add_surface(wc.meshes.icosphere(0.1, 4), body=body, name="ball")
+    other = scene.add_surface(wc.meshes.icosphere(0.1, 4), name="other")
+    scene.add_body_contact(ball, other, MATERIAL, name="press")
+    with pytest.raises(ValueError, match=r"press: body contact compares all faces.*'ball' has 5,120"):
+        scene.build(envs=1, device="cpu")
+
+
+def test_lists_count_each_pair_once():
+    scene, (box, floor) = scene_with("box", "floor")
+    other = scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(0, 0, 1))
+    second = scene.add_shape(other, wc.shapes.RoundedBox((0.1, 0.1, 0.1)))
+    contact = scene.add_body_contact([box, second], [box, second, floor], MATERIAL)
+    assert contact.pairs == ((box, second), (box, floor), (second, floor))
