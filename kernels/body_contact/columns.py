@@ -290,9 +290,9 @@ def convex_polygon(
         factor_v = double(0.0)
         offset = double(0.0)
         if cut == -2:
-            # Depth at most ``deepest``. (A plain ``factor_u = exit_u`` would be an alias in Warp.)
-            factor_u = double(1.0) * exit_u
-            factor_v = double(1.0) * exit_v
+            # Depth at most ``deepest``.
+            factor_u = exit_u
+            factor_v = exit_v
             offset = deepest * exit_cosine - exit_height
         elif cut == -1:
             # Depth at least ``shallowest``.
