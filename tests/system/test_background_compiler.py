@@ -7,12 +7,13 @@ import threading
 import time
 from multiprocessing import spawn
 from pathlib import Path
+from weakref import WeakSet
 
 import pytest
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 
-from warpcontact.system import background_compiler, compile_process
+from warpcontact.system import background_compiler, compile_process, kernel_builds
 from warpcontact.system.background_compiler import BackgroundCompiler
 from warpcontact.system.compilation import compile_as_launched
 from warpcontact.system.kernel_builds import is_compiled
@@ -63,6 +64,8 @@ def empty_cache(tmp_path, monkeypatch):
     folder = tmp_path / "cache" / wp.config.version
     folder.mkdir(parents=True)
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(folder))
+    # Kernels that an earlier test found in its cache.
+    monkeypatch.setattr(kernel_builds, "_found", WeakSet())
     return folder
 
 
@@ -112,13 +115,13 @@ def test_compiler_error_is_reported_with_its_message(empty_cache):
 def test_end_of_the_compiler_process_is_reported(code, tmp_path, monkeypatch, empty_cache):
     script = tmp_path / "ends.py"
     script.write_text(code)
-    monkeypatch.setattr(compile_process, "__file__", str(script))
     compiler, kernels = BackgroundCompiler(), [small_kernel(4), small_kernel(5)]
-    request = compiler.request(kernels)
-    wait_for(lambda: request.is_done)
+    with monkeypatch.context() as patch:
+        patch.setattr(compile_process, "__file__", str(script))
+        request = compiler.request(kernels)
+        wait_for(lambda: request.is_done)
     assert request.error.count("add: the compiler process ended with code 7") == 2
     assert not list(empty_cache.iterdir())
-    monkeypatch.undo()
     again = compiler.request(kernels)
     wait_for(lambda: again.is_done)
     assert again.error == ""
@@ -177,15 +180,15 @@ def test_build_of_a_changed_constant_is_refused(monkeypatch, empty_cache):
     """The identifier of a build is computed at the first launch, its source later."""
     kernel = kernel_with_constant()
     assert not is_compiled(kernel)
-    monkeypatch.setattr(sys.modules[__name__], "ADDED", wp.constant(7))
-    request = BackgroundCompiler().request([kernel])
-    wait_for(lambda: request.is_done)
     message = "a constant or function that kernel add_constant uses was changed"
-    assert request.error.startswith(f"add_constant: {message}")
-    with pytest.raises(RuntimeError, match=message):
-        compile_as_launched(kernel, wp.get_device("cpu"))
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules[__name__], "ADDED", wp.constant(7))
+        request = BackgroundCompiler().request([kernel])
+        wait_for(lambda: request.is_done)
+        assert request.error.startswith(f"add_constant: {message}")
+        with pytest.raises(RuntimeError, match=message):
+            compile_as_launched(kernel, wp.get_device("cpu"))
     assert not list(empty_cache.iterdir())
-    monkeypatch.undo()
     values = wp.zeros(1, dtype=int, device="cpu")
     wp.launch(kernel, 1, [values], device="cpu")
     assert values.numpy() == [5]
