@@ -250,11 +250,11 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 center = centroid(piece)
                             sign = wp.where(is_entry, -share, share) * piece.weight
                             for sample in range(RULE_SIZE * triangles):
-                                side_number = sample // RULE_SIZE
+                                edge = sample // RULE_SIZE
                                 if wp.static(is_exact):
-                                    side_number += 1
-                                corner_1 = corner(piece, side_number)
-                                corner_2 = corner(piece, (side_number + 1) % piece.count)
+                                    edge += 1
+                                corner_1 = corner(piece, edge)
+                                corner_2 = corner(piece, (edge + 1) % piece.count)
                                 point = quadrature_point(center, corner_1, corner_2, sample % RULE_SIZE)
                                 area = sign * point.weight * wp.abs(signed_area(center, corner_1, corner_2))
                                 base = position_on_face(face_plane, point.u, point.v)
@@ -267,7 +267,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                     start += OFFSET * wp.length(other.half_extents) * direction
                                     depth += first_crossing(geometries, other, start, direction, True).distance
                                 weight = area * column_weight(depth, overlap, half_space)
-                                # Rounding can make the depth at a border negative.
+                                # Rounding can make the depth at the boundary of a piece negative.
                                 if weight == double(0.0) or depth <= double(0.0):
                                     continue
                                 acting = base - kappa * depth * face_plane.normal

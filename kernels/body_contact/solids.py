@@ -1,4 +1,4 @@
-"""Solids: polyhedra with convex faces of up to four corners, and half-spaces, on bodies or the world.
+"""Solids: polyhedra with convex faces of up to four vertices, and half-spaces, on bodies or the world.
 
 A geometry is a polyhedron in coordinates of its own; a solid is a geometry with a scale and a pose. Faces run
 counter-clockwise as seen from outside. A scale that differs between the axes is allowed for boxes only, whose normals and
@@ -15,7 +15,7 @@ double = wp.float64
 
 # Properties of a geometry.
 CONVEX = 1
-HALF_SPACE = 2  # z ≤ 0; it has one face without corners
+HALF_SPACE = 2  # z ≤ 0; it has one face without vertices
 HAS_BOUNDARY = 4  # a surface with a boundary; only its own faces carry columns
 FEW_PLANES = 8  # convex, with at most MAX_PLANES planes
 #: Largest number of planes of a convex solid by which faces are cut.
@@ -99,7 +99,7 @@ def face_vertex(geometries: Geometries, face: wp.vec4i, i: int, scale: wp.vec3d)
 
 @wp.func
 def corner_count(face: wp.vec4i):
-    """Returns the number of corners of a face."""
+    """Returns the number of vertices of a face."""
     if face[3] < 0:
         return wp.int32(3)
     return wp.int32(4)

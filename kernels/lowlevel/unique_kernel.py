@@ -45,7 +45,7 @@ OPTIONS = QUICK_OPTIONS if QUICK else RELEASE_OPTIONS
 
 
 class _Source(NamedTuple):
-    """What a kernel was made of."""
+    """Function and options from which a kernel is made."""
 
     function: Callable[..., Any]
     options: dict[str, Any]  # of the module, without those of a build

@@ -280,7 +280,7 @@ def test_experiment_file_with_invalid_element_is_refused(change, message, tmp_pa
 
 
 def test_exported_stage_restores_element(tmp_path, monkeypatch):
-    pytest.importorskip("pxr")
+    pytest.importorskip("pxr", reason="USD stages need the package usd-core")
     model = magnet_scene().build(device="cpu")
     recording = wc.Simulation(model, dt=1e-3).run(0.01)
     path = wc.export_usd(recording, tmp_path / "magnets.usda")

@@ -1,4 +1,4 @@
-"""Polyhedra: meshes as convex faces of up to four corners, on which the columns of body contacts stand."""
+"""Polyhedra: meshes as convex faces of up to four vertices, on which the columns of body contacts stand."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ _TOLERANCE = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Polyhedron:
-    """A polyhedron with convex faces of three or four corners.
+    """A polyhedron with convex faces of three or four vertices.
 
     Attributes:
         vertices: Vertices, (V, 3), in the unit of the mesh.
@@ -153,7 +153,7 @@ def _convex_outline(
 
 
 def _quadrilaterals(outline: list[int]) -> list[list[int]]:
-    """Returns a convex polygon divided into quadrilaterals, and a triangle if its number of corners is odd."""
+    """Returns a convex polygon divided into quadrilaterals, and a triangle if its number of vertices is odd."""
     return [[outline[0], *outline[i : i + 3]] for i in range(1, len(outline) - 1, 2)]
 
 

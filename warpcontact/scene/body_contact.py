@@ -120,7 +120,7 @@ class BodyContacts:
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> BodyContact:
-        """Adds contact of solids over an area: faces, edges and corners of both carry load.
+        """Adds contact of solids over an area: faces, edges and vertices of both carry load.
 
         Solids are closed meshes, boxes, half-spaces (``wc.shapes.Plane``, second only) and open surfaces (second only). A
         column stands on each point of a face of one solid inside the other solid, along the normal of the face, and its

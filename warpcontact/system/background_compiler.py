@@ -271,7 +271,7 @@ class _Process:
             answer = b""
         if not answer:
             job.discard()
-            # Messages of the start may tell why it ended.
+            # Messages of the start may state why it ended.
             ended = f"the compiler process ended with code {self._process.wait()}"
             raise RuntimeError(f"{ended}{self._messages_since(0)}")
         if error := json.loads(answer)["error"]:

@@ -135,5 +135,5 @@ def test_nonlinear_pressure_equals_closed_form(shared, device):
     ]
     law = PowerFoundation(stiffness=1.0, exponent=cases[0]["law"]["exponent"])
     found = evaluate(cases, "shape", law, device, "float64")
-    # Error of the quadrature of √t beside the edge t = 0.
+    # Error of the quadrature of √t next to the edge t = 0.
     np.testing.assert_allclose(found.force, [case["force"] for case in cases], rtol=1e-3, atol=1e-3)

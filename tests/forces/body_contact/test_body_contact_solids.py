@@ -134,6 +134,17 @@ def test_unsupported_materials_are_refused(material, message):
         scene.add_body_contact(box, floor, material)
 
 
+def test_rounded_edges_are_refused_as_a_parameter():
+    scene, (box, floor) = scene_with("box", "floor")
+    scene.add_body_contact(box, floor, MATERIAL)
+    model = scene.build(envs=2, device="cpu")
+    with pytest.raises(
+        ValueError, match=r"box\.radius must be 0 m, because the box is in body contact, got 0\.01 m"
+    ):
+        model["box.radius"] = [0.0, 0.01]
+    np.testing.assert_array_equal(model["box.radius"], 0.0)
+
+
 def test_moreau_jean_needs_compliant_body_contact():
     scene, (box, floor) = scene_with("box", "floor")
     scene.add_body_contact(box, floor, MATERIAL, name="press")

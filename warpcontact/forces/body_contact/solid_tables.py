@@ -57,7 +57,15 @@ class SolidTables:
         columns = [self._pose_parameters(solid, parameters) for solid in solids]
         indices = [parameters.by_name.get(f"{solid.name}.mesh") for solid in solids]
 
+        # Boxes have sharp edges, also after a change of parameters.
+        radii = [one for solid in solids if (one := parameters.by_name.get(f"{solid.name}.radius")) is not None]
+
         def content() -> NDArray[Any]:
+            for radius in radii:
+                if radius.values.any():
+                    raise ValueError(
+                        f"{radius.name} must be 0 m, because the box is in body contact, got {radius.values.max():g} m"
+                    )
             used = [one for own in columns for one in own if one is not None] + [
                 one for one in indices if one is not None
             ]
@@ -82,7 +90,9 @@ class SolidTables:
             return pack(SolidPose, {key: np.stack(values, axis=1) for key, values in packed.items()})
 
         device_field = parameters.device_field(self.solids, "pose", SolidPose, content)
-        for parameter in {id(one): one for own in (*columns, indices) for one in own if one is not None}.values():
+        for parameter in {
+            id(one): one for own in (*columns, indices, radii) for one in own if one is not None
+        }.values():
             parameter.device_fields.append(device_field)
 
     def number(self, solid: Solid) -> int:
