@@ -292,7 +292,6 @@ def test_directions_are_unit_vectors_on_the_device(device):
 
 
 def test_exported_stage_restores_all_kinds_of_arguments(tmp_path, monkeypatch):
-    pytest.importorskip("pxr", reason="USD stages need the package usd-core")
     model = rod_scene(axis=(0.0, 3.0, 4.0), active=False).build(device="cpu")
     path = wc.export_usd(wc.Simulation(model, dt=1e-3).run(0.01), tmp_path / "rods.usda")
     monkeypatch.setattr(registry, "_REGISTERED", {})
