@@ -12,10 +12,9 @@ subtracted, so that the sum is the volume below the plane.
 """
 
 import warp as wp
-from warpcontact.kernels.body_contact.polygons import MAX_CORNERS, Polygon, centroid
+from warpcontact.kernels.body_contact.polygons import Polygon, centroid, corner, cut, kept, set_corner
 from warpcontact.kernels.body_contact.solids import (
     HALF_SPACE,
-    MAX_PLANES,
     Geometries,
     RelativePose,
     corner_count,
@@ -31,8 +30,6 @@ vec3d = wp.vec3d
 RAMP = wp.constant(double(1.0e-9))
 
 corner_coordinates = wp.types.matrix(shape=(4, 2), dtype=double)
-corner_buffers = wp.types.matrix(shape=(2 * MAX_CORNERS, 3), dtype=double)
-plane_rows = wp.types.matrix(shape=(MAX_PLANES, 4), dtype=double)
 
 
 @wp.struct
@@ -132,11 +129,18 @@ def is_exit(geometries: Geometries, frame: FaceFrame, face: int):
 
 @wp.func
 def column_polygon(
-    geometries: Geometries, frame: FaceFrame, other: SolidGeometry, face: int, shallowest: double, deepest: double
+    corners: wp.array2d(dtype=double),
+    geometries: Geometries,
+    frame: FaceFrame,
+    other: SolidGeometry,
+    face: int,
+    shallowest: double,
+    deepest: double,
 ):
     """Returns the base of the columns on a face that cross a face of the other solid at a depth within two limits.
 
     Args:
+        corners: Corners of the polygons of the thread.
         geometries: The geometries.
         frame: The face on which the columns stand.
         other: The other solid.
@@ -145,27 +149,24 @@ def column_polygon(
         deepest: Largest depth [m].
 
     Returns:
-        The ``Polygon``.
+        The ``Polygon``, not in the block of kept polygons.
     """
-    result = Polygon()
+    polygon = Polygon()
     # The third row of the projection is the inward normal.
     inward = vec3d(frame.projection[2, 0], frame.projection[2, 1], frame.projection[2, 2])
     if wp.abs(wp.dot(inward, geometries.normal[face])) < PARALLEL:
-        return result
+        return polygon
     vertices = geometries.face[face]
     count = corner_count(vertices)
-    # Two buffers of corners: each cut reads one and writes the other.
-    rows = corner_buffers()
     lower = vec3d(INFINITE, INFINITE, INFINITE)
     upper = -lower
     for i in range(count):
         position = frame.projection * face_vertex(geometries, vertices, i, other.scale) + frame.shift
         lower = wp.min(lower, position)
         upper = wp.max(upper, position)
-        for k in range(3):
-            rows[i, k] = position[k]
+        set_corner(corners, i, position)
     if upper[2] <= shallowest or lower[2] >= deepest:
-        return result
+        return polygon
     if frame.count > 0:
         if (
             upper[0] <= frame.lower[0]
@@ -173,191 +174,144 @@ def column_polygon(
             or lower[0] >= frame.upper[0]
             or lower[1] >= frame.upper[1]
         ):
-            return result
-    source = wp.int32(0)
-    for cut in range(2 + frame.count):
-        # Corners with factors · (u, v, t) + offset ≥ 0 remain.
-        factors = vec3d(double(0.0), double(0.0), double(1.0))
-        offset = -shallowest
-        if cut == 0:
-            if lower[2] >= shallowest:
-                continue
-        elif cut == 1:
-            if upper[2] <= deepest:
-                continue
-            factors = vec3d(double(0.0), double(0.0), double(-1.0))
-            offset = deepest
-        else:
-            start = cut - 2
-            end = start + 1
-            if end == frame.count:
-                end = 0
-            along_u = frame.corners[end, 0] - frame.corners[start, 0]
-            along_v = frame.corners[end, 1] - frame.corners[start, 1]
-            factors = vec3d(-along_v, along_u, double(0.0))
-            offset = along_v * frame.corners[start, 0] - along_u * frame.corners[start, 1]
-        target = MAX_CORNERS - source
-        kept = wp.int32(0)
-        previous = vec3d(rows[source + count - 1, 0], rows[source + count - 1, 1], rows[source + count - 1, 2])
-        previous_value = wp.dot(factors, previous) + offset
-        for i in range(count):
-            current = vec3d(rows[source + i, 0], rows[source + i, 1], rows[source + i, 2])
-            value = wp.dot(factors, current) + offset
-            if (value >= double(0.0)) != (previous_value >= double(0.0)) and kept < MAX_CORNERS:
-                crossing = previous + (previous_value / (previous_value - value)) * (current - previous)
-                for k in range(3):
-                    rows[target + kept, k] = crossing[k]
-                kept += 1
-            if value >= double(0.0) and kept < MAX_CORNERS:
-                for k in range(3):
-                    rows[target + kept, k] = current[k]
-                kept += 1
-            previous = current
-            previous_value = value
-        source = target
-        count = kept
-        if count < 3:
-            return result
-    result.count = count
-    result.weight = double(1.0)
-    for i in range(count):
-        for k in range(3):
-            result.corners[i, k] = rows[source + i, k]
-    if frame.count > 0 and not is_exit(geometries, frame, face):
-        result.weight = entry_weight(other, centroid(result)[2])
-    return result
+            return polygon
+    polygon.count = count
+    polygon.weight = double(1.0)
+    polygon = cut_by_depth(corners, polygon, shallowest, deepest)
+    for start in range(frame.count):
+        if polygon.count == 0:
+            return polygon
+        end = start + 1
+        if end == frame.count:
+            end = 0
+        along_u = frame.corners[end, 0] - frame.corners[start, 0]
+        along_v = frame.corners[end, 1] - frame.corners[start, 1]
+        offset = along_v * frame.corners[start, 0] - along_u * frame.corners[start, 1]
+        polygon = cut(corners, polygon, vec3d(-along_v, along_u, double(0.0)), offset)
+    if polygon.count > 0 and frame.count > 0 and not is_exit(geometries, frame, face):
+        polygon.weight = entry_weight(other, centroid(corners, polygon)[2])
+    return polygon
 
 
 @wp.func
-def planes_from_face(geometries: Geometries, frame: FaceFrame, other: SolidGeometry):
-    """Returns the planes of a convex solid with few planes as seen from a face: rows (a, b, c, h).
+def cut_by_depth(corners: wp.array2d(dtype=double), polygon: Polygon, shallowest: double, deepest: double):
+    """Returns the part of a polygon with depths t between two limits."""
+    polygon = cut(corners, polygon, vec3d(double(0.0), double(0.0), double(1.0)), -shallowest)
+    if polygon.count > 0 and deepest < INFINITE:
+        polygon = cut(corners, polygon, vec3d(double(0.0), double(0.0), double(-1.0)), deepest)
+    return polygon
 
-    A point (u, v, t) is at h − a u − b v − c t inside the plane [m]. c is the cosine of the inward normal of the face and the
-    normal of the plane: columns leave at planes with c > 0.
+
+@wp.func
+def store_planes(planes: wp.array2d(dtype=double), geometries: Geometries, frame: FaceFrame, other: SolidGeometry):
+    """Stores the planes of a convex solid with few planes as seen from a face, and returns their number.
+
+    Rows are (a, b, c, h). A point (u, v, t) is at h − a u − b v − c t inside the plane [m]. c is the cosine of the inward
+    normal of the face and the normal of the plane: columns leave at planes with c > 0.
     """
-    planes = plane_rows()
-    for i in range(other.end_plane - other.first_plane):
+    count = other.end_plane - other.first_plane
+    for i in range(count):
         face = geometries.plane_face[other.first_plane + i]
         normal = frame.projection * geometries.normal[face]
         for k in range(3):
             planes[i, k] = normal[k]
         planes[i, 3] = plane_offset(geometries, other, face) + wp.dot(normal, frame.shift)
-    return planes
+    return count
 
 
 @wp.func
-def convex_polygon(
-    frame: FaceFrame, other: SolidGeometry, planes: plane_rows, exit: int, shallowest: double, deepest: double
+def height_inside(planes: wp.array2d(dtype=double), plane: int, position: vec3d):
+    """Returns the distance of a point (u, v, 0) of the face from a plane, positive inside [m]."""
+    return planes[plane, 3] - planes[plane, 0] * position[0] - planes[plane, 1] * position[1]
+
+
+@wp.func
+def base_polygon(
+    corners: wp.array2d(dtype=double),
+    planes: wp.array2d(dtype=double),
+    plane_count: int,
+    frame: FaceFrame,
+    other: SolidGeometry,
 ):
-    """Returns the base of the columns on a face that are inside a convex solid with few planes.
+    """Returns the part of a face that is inside a convex solid with few planes, with depths t of 0; a kept polygon."""
+    polygon = Polygon()
+    polygon.count = frame.count
+    polygon.weight = double(1.0)
+    for i in range(frame.count):
+        set_corner(corners, i, vec3d(frame.corners[i, 0], frame.corners[i, 1], double(0.0)))
+    for plane in range(plane_count):
+        # Inside the plane; at planes that columns would enter, at least within the ramp.
+        offset = planes[plane, 3]
+        if planes[plane, 2] < double(0.0):
+            offset += ramp_height(other)
+        polygon = cut(corners, polygon, vec3d(-planes[plane, 0], -planes[plane, 1], double(0.0)), offset)
+        if polygon.count == 0:
+            return polygon
+    polygon = kept(corners, polygon)
+    middle = centroid(corners, polygon)
+    for plane in range(plane_count):
+        if planes[plane, 2] < double(0.0):
+            polygon.weight = polygon.weight * entry_weight(other, height_inside(planes, plane, middle))
+    return polygon
+
+
+@wp.func
+def exit_depth(planes: wp.array2d(dtype=double), plane: int, position: vec3d):
+    """Returns the depth at which the column at (u, v) crosses a plane [m]; infinite if it does not leave the solid there."""
+    if planes[plane, 2] < PARALLEL:
+        return INFINITE
+    return height_inside(planes, plane, position) / planes[plane, 2]
+
+
+@wp.func
+def least_exit_depth(
+    corners: wp.array2d(dtype=double), planes: wp.array2d(dtype=double), plane_count: int, base: Polygon
+):
+    """Returns the smallest depth of the columns on the base from ``base_polygon`` [m]."""
+    least = INFINITE
+    for plane in range(plane_count):
+        if planes[plane, 2] >= PARALLEL:
+            for i in range(base.count):
+                least = wp.min(least, exit_depth(planes, plane, corner(corners, base, i)))
+    return least
+
+
+@wp.func
+def exit_polygon(
+    corners: wp.array2d(dtype=double),
+    planes: wp.array2d(dtype=double),
+    plane_count: int,
+    base: Polygon,
+    exit: int,
+    shallowest: double,
+    deepest: double,
+):
+    """Returns the base of the columns that leave a convex solid with few planes at one of them.
 
     Args:
-        frame: The face on which the columns stand.
-        other: The convex solid.
-        planes: Its planes, from ``planes_from_face``.
-        exit: Number of the plane at which the columns leave the solid. −1: any; then the depths at the corners are 0.
-        shallowest: Smallest depth, with an exit plane [m].
-        deepest: Largest depth, with an exit plane [m].
+        corners: Corners of the polygons of the thread.
+        planes: Planes of the solid, from ``store_planes``.
+        plane_count: Their number.
+        base: The part of the face inside the solid, from ``base_polygon``.
+        exit: The plane at which the columns leave.
+        shallowest: Smallest depth [m].
+        deepest: Largest depth [m].
     """
-    result = Polygon()
-    count_of_planes = other.end_plane - other.first_plane
-    # Depth of the columns: (exit_height − exit_u u − exit_v v) / exit_cosine.
-    exit_u = double(0.0)
-    exit_v = double(0.0)
-    exit_cosine = double(0.0)
-    exit_height = double(0.0)
-    first_cut = wp.int32(0)
-    cuts = count_of_planes
-    if exit >= 0:
-        exit_u = planes[exit, 0]
-        exit_v = planes[exit, 1]
-        exit_cosine = planes[exit, 2]
-        exit_height = planes[exit, 3]
-        if exit_cosine < PARALLEL:
-            return result
-        first_cut = -2
-        cuts = 2 * count_of_planes
-    # Two buffers of corners: each cut reads one and writes the other.
-    rows = corner_buffers()
-    count = frame.count
-    for i in range(count):
-        rows[i, 0] = frame.corners[i, 0]
-        rows[i, 1] = frame.corners[i, 1]
-    source = wp.int32(0)
-    for cut in range(first_cut, cuts):
-        # Points with factor_u u + factor_v v + offset ≥ 0 remain.
-        factor_u = double(0.0)
-        factor_v = double(0.0)
-        offset = double(0.0)
-        if cut == -2:
-            # Depth at most ``deepest``.
-            factor_u = exit_u
-            factor_v = exit_v
-            offset = deepest * exit_cosine - exit_height
-        elif cut == -1:
-            # Depth at least ``shallowest``.
-            factor_u = -exit_u
-            factor_v = -exit_v
-            offset = exit_height - shallowest * exit_cosine
-        elif cut >= 0 and cut < count_of_planes:
-            # Inside the plane; at planes that columns would enter, at least within the ramp.
-            factor_u = -planes[cut, 0]
-            factor_v = -planes[cut, 1]
-            offset = planes[cut, 3]
-            if planes[cut, 2] < double(0.0):
-                offset += ramp_height(other)
-        elif cut >= 0:
-            # The column leaves at the exit plane, not at this one.
-            plane = cut - count_of_planes
-            cosine = planes[plane, 2]
-            if plane == exit or cosine < PARALLEL:
-                continue
-            factor_u = cosine * exit_u - exit_cosine * planes[plane, 0]
-            factor_v = cosine * exit_v - exit_cosine * planes[plane, 1]
-            offset = exit_cosine * planes[plane, 3] - cosine * exit_height
-        least = INFINITE
-        for i in range(count):
-            value = factor_u * rows[source + i, 0] + factor_v * rows[source + i, 1] + offset
-            least = wp.min(least, value)
-        if least >= double(0.0):
-            continue
-        target = MAX_CORNERS - source
-        kept = wp.int32(0)
-        previous_u = rows[source + count - 1, 0]
-        previous_v = rows[source + count - 1, 1]
-        previous_value = factor_u * previous_u + factor_v * previous_v + offset
-        for i in range(count):
-            current_u = rows[source + i, 0]
-            current_v = rows[source + i, 1]
-            value = factor_u * current_u + factor_v * current_v + offset
-            if (value >= double(0.0)) != (previous_value >= double(0.0)) and kept < MAX_CORNERS:
-                fraction = previous_value / (previous_value - value)
-                rows[target + kept, 0] = previous_u + fraction * (current_u - previous_u)
-                rows[target + kept, 1] = previous_v + fraction * (current_v - previous_v)
-                kept += 1
-            if value >= double(0.0) and kept < MAX_CORNERS:
-                rows[target + kept, 0] = current_u
-                rows[target + kept, 1] = current_v
-                kept += 1
-            previous_u = current_u
-            previous_v = current_v
-            previous_value = value
-        source = target
-        count = kept
-        if count < 3:
-            return result
-    result.count = count
-    for i in range(count):
-        u = rows[source + i, 0]
-        v = rows[source + i, 1]
-        result.corners[i, 0] = u
-        result.corners[i, 1] = v
-        if exit >= 0:
-            result.corners[i, 2] = (exit_height - exit_u * u - exit_v * v) / exit_cosine
-    result.weight = double(1.0)
-    middle = centroid(result)
-    for plane in range(count_of_planes):
-        if planes[plane, 2] < double(0.0):
-            height = planes[plane, 3] - planes[plane, 0] * middle[0] - planes[plane, 1] * middle[1]
-            result.weight = result.weight * entry_weight(other, height)
-    return result
+    polygon = Polygon()
+    if planes[exit, 2] < PARALLEL:
+        return polygon
+    polygon.count = base.count
+    polygon.weight = base.weight
+    for i in range(base.count):
+        position = corner(corners, base, i)
+        position[2] = exit_depth(planes, exit, position)
+        set_corner(corners, i, position)
+    polygon = cut_by_depth(corners, polygon, shallowest, deepest)
+    for plane in range(plane_count):
+        if polygon.count == 0:
+            return polygon
+        if plane != exit and planes[plane, 2] >= PARALLEL:
+            # The column does not cross the other plane before the exit: its end is inside.
+            inside = -vec3d(planes[plane, 0], planes[plane, 1], planes[plane, 2])
+            polygon = cut(corners, polygon, inside, planes[plane, 3])
+    return polygon

@@ -12,30 +12,32 @@ flatter surface is the reference.
 import warp as wp
 from warpcontact.kernels.body_contact.columns import (
     FaceFrame,
+    base_polygon,
     column_polygon,
-    convex_polygon,
     face_frame,
+    height_inside,
     is_apart,
     is_exit,
-    planes_from_face,
+    least_exit_depth,
     position_on_face,
     ramp_height,
+    store_planes,
 )
 from warpcontact.kernels.body_contact.polygons import Polygon, centroid, corner, polygon_area
 from warpcontact.kernels.body_contact.solids import (
-    CONVEX,
     FEW_PLANES,
     HALF_SPACE,
     HAS_BOUNDARY,
     Geometries,
     RelativePose,
+    corner_count,
+    face_vertex,
     inverse_pose,
 )
 from warpcontact.kernels.body_contact.surface_queries import (
     INFINITE,
     SolidGeometry,
     depth_below_surface,
-    plane_offset,
 )
 
 double = wp.float64
@@ -44,6 +46,10 @@ vec3d = wp.vec3d
 # Weight of columns: 1 up to FULL_WEIGHT × D, 0 from NO_WEIGHT × D on.
 FULL_WEIGHT = wp.constant(double(2.0))
 NO_WEIGHT = wp.constant(double(4.0))
+# Faces of each solid whose smallest depth is stored.
+SLOTS_PER_SIDE = wp.constant(16)
+#: Length of the array of smallest depths.
+LEAST_DEPTHS = 2 * 16
 
 
 @wp.struct
@@ -55,33 +61,48 @@ class Overlap:
 
 
 @wp.func
-def depth_bound(
-    geometries: Geometries, frame: FaceFrame, other: SolidGeometry, pose: RelativePose, polygon: Polygon
+def deepest_inside_planes(
+    corners: wp.array2d(dtype=double),
+    planes: wp.array2d(dtype=double),
+    plane_count: int,
+    polygon: Polygon,
+    deepest: double,
 ):
-    """Returns an upper bound on the depth of the points of a polygon below the surface of a convex solid [m].
+    """Returns the largest distance of a point of a polygon from the nearest plane around it, at least ``deepest`` [m].
 
-    The depth is the least distance from a plane, and each distance is largest at a corner.
+    It is evaluated at corners, midpoints of edges and the center.
     """
-    bound = INFINITE
-    to_other = wp.transpose(pose.rotation)
-    origin = to_other * (frame.origin - pose.origin)
-    u_axis = to_other * frame.u_axis
-    v_axis = to_other * frame.v_axis
-    for plane in range(other.first_plane, other.end_plane):
-        face = geometries.plane_face[plane]
-        normal = geometries.normal[face]
-        height = plane_offset(geometries, other, face) - wp.dot(normal, origin)
-        along_u = wp.dot(normal, u_axis)
-        along_v = wp.dot(normal, v_axis)
+    # The distance from the nearest plane is at most that from any plane, which is largest at a corner.
+    for plane in range(plane_count):
         largest = -INFINITE
         for i in range(polygon.count):
-            largest = wp.max(largest, height - along_u * polygon.corners[i, 0] - along_v * polygon.corners[i, 1])
-        bound = wp.min(bound, largest)
-    return bound
+            largest = wp.max(largest, height_inside(planes, plane, corner(corners, polygon, i)))
+        if largest <= deepest:
+            return deepest
+    middle = centroid(corners, polygon)
+    for i in range(2 * polygon.count + 1):
+        point = sample_of_polygon(corners, polygon, middle, i)
+        depth = INFINITE
+        for plane in range(plane_count):
+            depth = wp.min(depth, height_inside(planes, plane, point))
+        deepest = wp.max(deepest, depth)
+    return deepest
+
+
+@wp.func
+def sample_of_polygon(corners: wp.array2d(dtype=double), polygon: Polygon, middle: vec3d, i: int):
+    """Returns sample ``i`` of corners, midpoints of edges and, last, the center ``middle``."""
+    if i == 2 * polygon.count:
+        return middle
+    point = corner(corners, polygon, i // 2)
+    if i % 2 == 1:
+        point = double(0.5) * (point + corner(corners, polygon, (i // 2 + 1) % polygon.count))
+    return point
 
 
 @wp.func
 def deepest_of(
+    corners: wp.array2d(dtype=double),
     geometries: Geometries,
     frame: FaceFrame,
     other: SolidGeometry,
@@ -93,38 +114,63 @@ def deepest_of(
 
     It is evaluated at corners, midpoints of edges and the center. A column is at least as long as its base is deep.
     """
-    count = polygon.count
-    is_convex = (other.flags & CONVEX) != 0 and frame.count > 0
-    if is_convex:
-        if depth_bound(geometries, frame, other, pose, polygon) <= deepest:
-            return deepest
-    middle = centroid(polygon)
+    middle = centroid(corners, polygon)
     direction = -(wp.transpose(pose.rotation) * frame.normal)
-    for i in range(2 * count + 1):
-        point = corner(polygon, i // 2 % count)
-        if i == 2 * count:
-            point = middle
-        elif i % 2 == 1:
-            point = double(0.5) * (point + corner(polygon, (i // 2 + 1) % count))
-        if is_convex or point[2] > deepest:
+    for i in range(2 * polygon.count + 1):
+        point = sample_of_polygon(corners, polygon, middle, i)
+        if point[2] > deepest:
             position = position_on_face(frame, point[0], point[1]) - pose.origin
             depth = depth_below_surface(geometries, other, wp.transpose(pose.rotation) * position, direction)
-            if not is_convex:
-                depth = wp.min(depth, point[2])
-            deepest = wp.max(deepest, depth)
+            deepest = wp.max(deepest, wp.min(depth, point[2]))
     return deepest
 
 
 @wp.func
-def overlap_of(geometries: Geometries, first: SolidGeometry, second: SolidGeometry, first_in_second: RelativePose):
-    """Returns the ``Overlap`` of two solids; the first must not be a half-space or open."""
+def depth_below_plane(geometries: Geometries, solid: SolidGeometry, pose: RelativePose):
+    """Returns the depth of the lowest point of a solid below the plane z = 0 of a half-space [m]."""
+    lowest = double(0.0)
+    up = vec3d(pose.rotation[2, 0], pose.rotation[2, 1], pose.rotation[2, 2])
+    for face in range(solid.first_face, solid.end_face):
+        # A lowest point is a vertex of a face that looks down.
+        if wp.dot(up, geometries.normal[face]) < double(0.0):
+            vertices = geometries.face[face]
+            for i in range(corner_count(vertices)):
+                lowest = wp.min(
+                    lowest, wp.dot(up, face_vertex(geometries, vertices, i, solid.scale)) + pose.origin[2]
+                )
+    return -lowest
+
+
+@wp.func
+def overlap_of(
+    corners: wp.array2d(dtype=double),
+    planes: wp.array2d(dtype=double),
+    least_depths: wp.array(dtype=double),
+    geometries: Geometries,
+    first: SolidGeometry,
+    second: SolidGeometry,
+    first_in_second: RelativePose,
+):
+    """Returns the ``Overlap`` of two solids; the first must not be a half-space or open.
+
+    Args:
+        corners: Corners of the polygons of the thread.
+        planes: Room for the planes of a solid.
+        least_depths: Receives the smallest depth of the columns on each face, see ``face_slot`` [m].
+        geometries: The geometries.
+        first: The first solid.
+        second: The second solid.
+        first_in_second: Pose of the first in the second.
+    """
     result = Overlap()
     result.share = double(1.0)
-    second_is_reference = (second.flags & (HALF_SPACE | HAS_BOUNDARY)) != 0
+    if (second.flags & HALF_SPACE) != 0:
+        result.depth = depth_below_plane(geometries, first, first_in_second)
+        return result
     # Deviation from flatness of the part of each surface that is inside the other solid [m²].
     deviation = wp.vec2d()
     for side in range(2):
-        if side == 1 and second_is_reference:
+        if side == 1 and (second.flags & HAS_BOUNDARY) != 0:
             break
         own = second
         other = first
@@ -133,47 +179,65 @@ def overlap_of(geometries: Geometries, first: SolidGeometry, second: SolidGeomet
             own = first
             other = second
             pose = inverse_pose(first_in_second)
+        by_planes = (other.flags & FEW_PLANES) != 0
         total = double(0.0)
         total_vector = vec3d()
         for face in range(own.first_face, own.end_face):
+            slot = face_slot(side, face - own.first_face)
+            least_depths[slot] = INFINITE
             frame = face_frame(geometries, own, other, pose, face)
             if is_apart(frame, other):
                 continue
             area = double(0.0)
-            if frame.count > 0 and (other.flags & FEW_PLANES) != 0:
-                planes = planes_from_face(geometries, frame, other)
-                polygon = convex_polygon(frame, other, planes, -1, double(0.0), INFINITE)
+            if by_planes:
+                plane_count = store_planes(planes, geometries, frame, other)
+                polygon = base_polygon(corners, planes, plane_count, frame, other)
                 if polygon.count > 0:
-                    area = polygon.weight * polygon_area(polygon)
-                    result.depth = deepest_of(geometries, frame, other, pose, polygon, result.depth)
+                    area = polygon.weight * polygon_area(corners, polygon)
+                    result.depth = deepest_inside_planes(corners, planes, plane_count, polygon, result.depth)
+                    least_depths[slot] = least_exit_depth(corners, planes, plane_count, polygon)
             else:
+                least = INFINITE
                 for other_face in range(other.first_face, other.end_face):
                     leaves = is_exit(geometries, frame, other_face)
                     shallowest = double(0.0)
                     if not leaves:
                         shallowest = -ramp_height(other)
-                    polygon = column_polygon(geometries, frame, other, other_face, shallowest, INFINITE)
+                    polygon = column_polygon(corners, geometries, frame, other, other_face, shallowest, INFINITE)
                     if polygon.count == 0:
                         continue
-                    if frame.count == 0:
-                        # On a half-space, the depth is that of the lowest point.
-                        for i in range(polygon.count):
-                            result.depth = wp.max(result.depth, polygon.corners[i, 2])
-                    elif leaves:
-                        area += polygon_area(polygon)
-                        result.depth = deepest_of(geometries, frame, other, pose, polygon, result.depth)
+                    if leaves:
+                        area += polygon_area(corners, polygon)
+                        result.depth = deepest_of(corners, geometries, frame, other, pose, polygon, result.depth)
                     else:
-                        area -= polygon.weight * polygon_area(polygon)
+                        area -= polygon.weight * polygon_area(corners, polygon)
+                    for i in range(polygon.count):
+                        least = wp.min(least, corner(corners, polygon, i)[2])
+                least_depths[slot] = least
             total += area
             total_vector += area * frame.normal
         deviation[side] = wp.max(total - wp.length(total_vector), double(0.0))
-    if not second_is_reference:
+    if (second.flags & HAS_BOUNDARY) == 0:
         # Faces of the second solid carry more if the first solid is less flat.
         result.share = double(0.5)
         together = deviation[0] + deviation[1]
         if together > double(0.0):
             result.share = deviation[1] / together
     return result
+
+
+@wp.func
+def face_slot(side: int, number: int):
+    """Returns the index of a face in the array of smallest depths; the last one of a side is common to further faces."""
+    return side * SLOTS_PER_SIDE + wp.min(number, SLOTS_PER_SIDE - 1)
+
+
+@wp.func
+def least_depth_of_face(least_depths: wp.array(dtype=double), side: int, number: int):
+    """Returns the smallest depth of the columns on a face from ``overlap_of``; 0 if it is not known [m]."""
+    if number >= SLOTS_PER_SIDE - 1:
+        return double(0.0)
+    return least_depths[face_slot(side, number)]
 
 
 @wp.func

@@ -9,6 +9,7 @@ import functools
 from typing import NamedTuple
 
 import warp as wp
+from warpcontact.kernels.body_contact.records import Patches
 from warpcontact.kernels.catalogue import history_variables
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
 from warpcontact.kernels.frames import functions as frame_functions
@@ -22,17 +23,9 @@ PATCH_COUNT = 4
 # Cosine of the largest angle, 40°, between the normals of a patch in successive steps, and within a patch.
 SIMILAR = wp.constant(double(0.766))
 TINY = wp.constant(double(1.0e-300))
-
-# Rows: normal force, its moment of first order (3), of second order (xx, yy, zz, xy, xz, yz), sum of normals (3).
-patch_sums = wp.types.matrix(shape=(PATCH_COUNT, 13), dtype=wp.float64)
-patch_normals = wp.types.matrix(shape=(PATCH_COUNT, 3), dtype=wp.float64)
-
-
-@wp.struct
-class Patches:
-    """History of the patches of all pairs: [env, PATCH_COUNT × pair + patch]."""
-
-    normal: wp.array2d(dtype=wp.vec3d)  # in the axes of the second solid; zero: no patch
+#: Columns of the array of sums over a patch: normal force, its moment of first order (3), of second order (xx, yy, zz, xy, xz,
+#: yz), sum of normals (3).
+PATCH_SUMS = 13
 
 
 @wp.struct
@@ -46,13 +39,31 @@ class PatchShape:
 
 
 @wp.func
-def row_vector(rows: patch_normals, i: int):
-    """Returns row ``i`` of a matrix of normals."""
+def row_vector(rows: wp.array2d(dtype=double), i: int):
+    """Returns the first three elements of row ``i``."""
     return vec3d(rows[i, 0], rows[i, 1], rows[i, 2])
 
 
 @wp.func
-def most_similar(rows: patch_normals, normal: vec3d):
+def set_row(rows: wp.array2d(dtype=double), i: int, vector: vec3d):
+    """Stores the first three elements of row ``i``."""
+    for k in range(3):
+        rows[i, k] = vector[k]
+
+
+@wp.func
+def start_patches(
+    normals: wp.array2d(dtype=double), sums: wp.array2d(dtype=double), patches: Patches, env: int, pair: int
+):
+    """Stores the normals of the patches of a pair after the last step, and clears their sums."""
+    for patch in range(PATCH_COUNT):
+        set_row(normals, patch, patches.normal[env, PATCH_COUNT * pair + patch])
+        for k in range(PATCH_SUMS):
+            sums[patch, k] = double(0.0)
+
+
+@wp.func
+def most_similar(rows: wp.array2d(dtype=double), normal: vec3d):
     """Returns the index of the row with the largest component along ``normal``."""
     best = wp.int32(0)
     largest = double(-2.0)
@@ -68,7 +79,7 @@ def most_similar(rows: patch_normals, normal: vec3d):
 
 
 @wp.func
-def free_row(rows: patch_normals):
+def free_row(rows: wp.array2d(dtype=double)):
     """Returns the index of the first zero row; −1: there is none."""
     for i in range(PATCH_COUNT):
         if wp.length_sq(row_vector(rows, i)) == double(0.0):
@@ -77,7 +88,7 @@ def free_row(rows: patch_normals):
 
 
 @wp.func
-def patch_of(rows: patch_normals, normal: vec3d):
+def patch_of(rows: wp.array2d(dtype=double), normal: vec3d):
     """Returns the patch of columns with ``normal``: one with a similar normal, else a free one, else the most similar."""
     patch = most_similar(rows, normal)
     if wp.dot(row_vector(rows, patch), normal) >= SIMILAR:
@@ -89,17 +100,8 @@ def patch_of(rows: patch_normals, normal: vec3d):
 
 
 @wp.func
-def with_patch(rows: patch_normals, patch: int, normal: vec3d):
-    """Returns the normals with that of a free patch set to ``normal``."""
-    if wp.length_sq(row_vector(rows, patch)) == double(0.0):
-        for i in range(3):
-            rows[patch, i] = normal[i]
-    return rows
-
-
-@wp.func
-def with_column(sums: patch_sums, patch: int, normal_force: double, position: vec3d, normal: vec3d):
-    """Returns the sums with a column of a patch, at ``position`` relative to their origin, W."""
+def add_to_patch(sums: wp.array2d(dtype=double), patch: int, normal_force: double, position: vec3d, normal: vec3d):
+    """Adds a column at ``position``, relative to the origin of the sums, W, to the sums of its patch."""
     sums[patch, 0] = sums[patch, 0] + normal_force
     for i in range(3):
         sums[patch, 1 + i] = sums[patch, 1 + i] + normal_force * position[i]
@@ -108,7 +110,6 @@ def with_column(sums: patch_sums, patch: int, normal_force: double, position: ve
     sums[patch, 7] = sums[patch, 7] + normal_force * position[0] * position[1]
     sums[patch, 8] = sums[patch, 8] + normal_force * position[0] * position[2]
     sums[patch, 9] = sums[patch, 9] + normal_force * position[1] * position[2]
-    return sums
 
 
 @wp.func
@@ -137,7 +138,7 @@ def friction_radius(variance_1: double, variance_2: double):
 
 
 @wp.func
-def shape_of_patch(sums: patch_sums, patch: int):
+def shape_of_patch(sums: wp.array2d(dtype=double), patch: int):
     """Returns the distribution of the pressure of a patch; its normal force is 0 or less if there is none."""
     shape = PatchShape()
     force = sums[patch, 0]

@@ -1,6 +1,8 @@
 """Convex polygons in the plane of a face: clipping, area and quadrature points.
 
-A corner is (u, v, t): coordinates in the plane of a face, and the depth below it, which is linear over the polygon.
+A corner is (u, v, t): coordinates in the plane of a face, and the depth below it, which is linear over the polygon. The
+corners of the polygons of a thread are rows of one array, in blocks of ``MAX_CORNERS`` rows. Each cut reads one block and
+writes another.
 """
 
 import warp as wp
@@ -11,10 +13,12 @@ double = wp.float64
 #: Largest number of corners. A quadrilateral is cut by at most 4 edges of another one, or by two cuts for each of
 #: ``MAX_PLANES`` planes, and at two depths. Each cut adds one corner at most.
 MAX_CORNERS = 4 + 2 * MAX_PLANES + 2
+#: Rows of the array of corners: two blocks for cutting, and one for a polygon that is kept.
+CORNER_ROWS = 3 * MAX_CORNERS
+#: First row of the block of the polygon that is kept.
+KEPT = 2 * MAX_CORNERS
 #: Points of the quadrature rule on a triangle.
 RULE_SIZE = 7
-
-corner_matrix = wp.types.matrix(shape=(MAX_CORNERS, 3), dtype=double)
 
 # Radon's rule of degree 5 on a triangle: barycentric coordinates (a, b, b) and weights of its two orbits.
 _A_1, _B_1, _W_1 = 0.059715871789769820, 0.470142064105115090, 0.132394152788506180
@@ -31,9 +35,9 @@ THIRD = wp.constant(double(1.0 / 3.0))
 class Polygon:
     """A convex polygon."""
 
+    start: wp.int32  # row of its first corner
     count: wp.int32  # number of corners; 0: empty
     weight: double  # of its area, 0 to 1 [-]
-    corners: corner_matrix  # rows (u, v, t) [m]
 
 
 @wp.struct
@@ -47,9 +51,62 @@ class QuadraturePoint:
 
 
 @wp.func
-def corner(polygon: Polygon, i: int):
+def corner(corners: wp.array2d(dtype=double), polygon: Polygon, i: int):
     """Returns corner ``i`` (u, v, t)."""
-    return wp.vec3d(polygon.corners[i, 0], polygon.corners[i, 1], polygon.corners[i, 2])
+    row = polygon.start + i
+    return wp.vec3d(corners[row, 0], corners[row, 1], corners[row, 2])
+
+
+@wp.func
+def set_corner(corners: wp.array2d(dtype=double), row: int, position: wp.vec3d):
+    """Stores a corner."""
+    corners[row, 0] = position[0]
+    corners[row, 1] = position[1]
+    corners[row, 2] = position[2]
+
+
+@wp.func
+def kept(corners: wp.array2d(dtype=double), polygon: Polygon):
+    """Returns a copy of a polygon in the block that cuts do not write."""
+    result = Polygon()
+    result.start = KEPT
+    result.count = polygon.count
+    result.weight = polygon.weight
+    for i in range(polygon.count):
+        set_corner(corners, KEPT + i, corner(corners, polygon, i))
+    return result
+
+
+@wp.func
+def cut(corners: wp.array2d(dtype=double), polygon: Polygon, factors: wp.vec3d, offset: double):
+    """Returns the part of a polygon with factors · (u, v, t) + offset ≥ 0; empty if it has no area."""
+    least = offset + wp.dot(factors, corner(corners, polygon, 0))
+    for i in range(1, polygon.count):
+        least = wp.min(least, offset + wp.dot(factors, corner(corners, polygon, i)))
+    if least >= double(0.0):
+        return polygon
+    result = Polygon()
+    result.weight = polygon.weight
+    if polygon.start == 0:
+        result.start = MAX_CORNERS
+    previous = corner(corners, polygon, polygon.count - 1)
+    previous_value = wp.dot(factors, previous) + offset
+    count = wp.int32(0)
+    for i in range(polygon.count):
+        current = corner(corners, polygon, i)
+        value = wp.dot(factors, current) + offset
+        if (value >= double(0.0)) != (previous_value >= double(0.0)) and count < MAX_CORNERS:
+            crossing = previous + (previous_value / (previous_value - value)) * (current - previous)
+            set_corner(corners, result.start + count, crossing)
+            count += 1
+        if value >= double(0.0) and count < MAX_CORNERS:
+            set_corner(corners, result.start + count, current)
+            count += 1
+        previous = current
+        previous_value = value
+    if count >= 3:
+        result.count = count
+    return result
 
 
 @wp.func
@@ -61,23 +118,25 @@ def signed_area(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d):
 
 
 @wp.func
-def polygon_area(polygon: Polygon):
+def polygon_area(corners: wp.array2d(dtype=double), polygon: Polygon):
     """Returns the area of the polygon in the plane of u and v [m²]."""
     area = double(0.0)
     for i in range(1, polygon.count - 1):
-        area += signed_area(corner(polygon, 0), corner(polygon, i), corner(polygon, i + 1))
+        area += signed_area(
+            corner(corners, polygon, 0), corner(corners, polygon, i), corner(corners, polygon, i + 1)
+        )
     return wp.abs(area)
 
 
 @wp.func
-def centroid(polygon: Polygon):
+def centroid(corners: wp.array2d(dtype=double), polygon: Polygon):
     """Returns the center of area (u, v, t) of the polygon; of a polygon without area, its first corner."""
     area = double(0.0)
     moment = wp.vec3d()
-    first = corner(polygon, 0)
+    first = corner(corners, polygon, 0)
     for i in range(1, polygon.count - 1):
-        second = corner(polygon, i)
-        third = corner(polygon, i + 1)
+        second = corner(corners, polygon, i)
+        third = corner(corners, polygon, i + 1)
         part = signed_area(first, second, third)
         area += part
         moment += part * (first + second + third)
@@ -101,9 +160,14 @@ def quadrature_point(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d, number:
         near = NEAR_1
         weight = WEIGHT_1
     opposite = (number + 2) % 3
-    barycentric = wp.vec3d(near, near, near)
-    barycentric[opposite] = far
-    position = barycentric[0] * first + barycentric[1] * second + barycentric[2] * third
+    # near + near + far = 1
+    position = near * (first + second + third)
+    if opposite == 0:
+        position += (far - near) * first
+    elif opposite == 1:
+        position += (far - near) * second
+    else:
+        position += (far - near) * third
     point = QuadraturePoint()
     point.u = position[0]
     point.v = position[1]

@@ -26,6 +26,13 @@ class BodyContactSettings:
     enabled: wp.int32  # 0 or 1
 
 
+@wp.struct
+class Patches:
+    """History of the patches of all pairs: [env, PATCH_COUNT × pair + patch]."""
+
+    normal: wp.array2d(dtype=wp.vec3d)  # in the axes of the second solid; zero: no patch
+
+
 class BodyContactStructs(NamedTuple):
     """Structs of body contacts, in one precision."""
 

@@ -13,8 +13,8 @@ from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTa
 from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.body_contact import force
-from warpcontact.kernels.body_contact.patches import PATCH_COUNT, Patches
-from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
+from warpcontact.kernels.body_contact.patches import PATCH_COUNT
+from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.shapes.force import advance_history
