@@ -12,7 +12,7 @@ subtracted, so that the sum is the volume below the plane.
 """
 
 import warp as wp
-from warpcontact.kernels.body_contact.polygons import Polygon, centroid, corner, cut, kept, set_corner
+from warpcontact.kernels.body_contact.polygons import Polygon, centroid, corner, cut, stored, set_corner
 from warpcontact.kernels.body_contact.solids import (
     HALF_SPACE,
     Geometries,
@@ -149,7 +149,7 @@ def column_polygon(
         deepest: Largest depth [m].
 
     Returns:
-        The ``Polygon``, not in the block of kept polygons.
+        The ``Polygon``, not in the block of stored polygons.
     """
     polygon = Polygon()
     # The third row of the projection is the inward normal.
@@ -233,7 +233,7 @@ def base_polygon(
     frame: FaceFrame,
     other: SolidGeometry,
 ):
-    """Returns the part of a face that is inside a convex solid with few planes, with depths t of 0; a kept polygon."""
+    """Returns the part of a face that is inside a convex solid with few planes, with depths t of 0; a stored polygon."""
     polygon = Polygon()
     polygon.count = frame.count
     polygon.weight = double(1.0)
@@ -247,7 +247,7 @@ def base_polygon(
         polygon = cut(corners, polygon, vec3d(-planes[plane, 0], -planes[plane, 1], double(0.0)), offset)
         if polygon.count == 0:
             return polygon
-    polygon = kept(corners, polygon)
+    polygon = stored(corners, polygon)
     middle = centroid(corners, polygon)
     for plane in range(plane_count):
         if planes[plane, 2] < double(0.0):

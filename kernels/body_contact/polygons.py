@@ -13,10 +13,10 @@ double = wp.float64
 #: Largest number of corners. A quadrilateral is cut by at most 4 edges of another one, or by two cuts for each of
 #: ``MAX_PLANES`` planes, and at two depths. Each cut adds one corner at most.
 MAX_CORNERS = 4 + 2 * MAX_PLANES + 2
-#: Rows of the array of corners: two blocks for cutting, and one for a polygon that is kept.
+#: Rows of the array of corners: two blocks for cutting, and one for a stored polygon.
 CORNER_ROWS = 3 * MAX_CORNERS
-#: First row of the block of the polygon that is kept.
-KEPT = 2 * MAX_CORNERS
+#: First row of the block of stored polygons.
+STORED = 2 * MAX_CORNERS
 #: Points of the quadrature rule on a triangle.
 RULE_SIZE = 7
 
@@ -66,14 +66,14 @@ def set_corner(corners: wp.array2d(dtype=double), row: int, position: wp.vec3d):
 
 
 @wp.func
-def kept(corners: wp.array2d(dtype=double), polygon: Polygon):
+def stored(corners: wp.array2d(dtype=double), polygon: Polygon):
     """Returns a copy of a polygon in the block that cuts do not write."""
     result = Polygon()
-    result.start = KEPT
+    result.start = STORED
     result.count = polygon.count
     result.weight = polygon.weight
     for i in range(polygon.count):
-        set_corner(corners, KEPT + i, corner(corners, polygon, i))
+        set_corner(corners, STORED + i, corner(corners, polygon, i))
     return result
 
 
