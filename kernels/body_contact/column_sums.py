@@ -1,6 +1,7 @@
 """Sums over the columns of a pair: law and friction at each column, and force, torque and readings of the pair.
 
-A kernel finds the columns of its solids, adds each with ``add_column`` and stores the result with ``store_result``.
+A kernel finds the columns of its solids, adds each with ``add_column`` and stores the result with ``store_result``. If only the
+law acts at each column, it adds the sums over whole polygons with ``add_piece``.
 """
 
 import functools
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import warp as wp
 from warpcontact.kernels.body_contact.patches import (
     PATCH_COUNT,
-    add_to_patch,
+    add_moments_to_patch,
     row_vector,
     set_row,
     shape_of_patch,
@@ -74,6 +75,47 @@ class ColumnSums:
     moment: vec3d  # of pressure, from the center of mass of the first body [N·m]
 
 
+@wp.struct
+class RelativeMotion:
+    """Motion of the second body relative to the first; W."""
+
+    velocity: vec3d  # at the origin of the pair [m/s]
+    angular_velocity: vec3d  # [rad/s]
+
+
+@wp.struct
+class PieceSums:
+    """Sums over the columns of a polygon, in the coordinates of its corners."""
+
+    area: double  # [m²]
+    gross_area: double  # [m²]
+    volume: double  # [m³]
+    approach: double  # integral of the approach speed over the area [m³/s]
+    pressure: double  # integral of the normal force per area [N]
+    max_pressure: double  # [Pa]
+    depth_moment: double  # integral of pressure times depth [N·m]
+    moment: vec3d  # integral of pressure times coordinates
+    second_moment: wp.mat33d  # integral of pressure times products of coordinates
+
+
+@wp.func
+def with_sample(
+    piece: PieceSums, pressure: double, weight: double, depth: double, approach: double, position: vec3d
+):
+    """Returns the sums over a polygon with a sample of area ``weight`` added."""
+    normal_force = weight * pressure
+    piece.area += weight
+    piece.gross_area += wp.abs(weight)
+    piece.volume += weight * depth
+    piece.approach += weight * approach
+    piece.pressure += normal_force
+    piece.max_pressure = wp.max(piece.max_pressure, pressure)
+    piece.depth_moment += normal_force * depth
+    piece.moment += normal_force * position
+    piece.second_moment += normal_force * wp.outer(position, position)
+    return piece
+
+
 @wp.func
 def pair_of(pose: PairPose, solids: Solids, solid_1: int, solid_2: int, number: int):
     """Returns the ``Pair`` of two solids, whose columns are found in the frame of the second one."""
@@ -83,7 +125,7 @@ def pair_of(pose: PairPose, solids: Solids, solid_1: int, solid_2: int, number: 
     pair.body_2 = solids.body[solid_2]
     pair.arm_1 = pose.arm_1
     pair.arm_2 = pose.arm_2
-    pair.to_axes = wp.transpose(pose.rotation)
+    pair.to_axes = wp.transpose(pose.second_axes.rotation)
     pair.q_WS = pose.orientation
     return pair
 
@@ -95,6 +137,14 @@ class Functions(NamedTuple):
     #: patch_rows)``: returns the ``ColumnSums`` with a column added. ``normals`` and ``patch_rows`` are those of the patches,
     #: see ``patches.py``.
     add_column: wp.Function
+    #: ``(state, env, pair)``: returns the ``RelativeMotion`` of a pair.
+    relative_motion: wp.Function
+    #: ``(env, dt, pair, depth, approach, coefficients, history_in, history_out, body_contacts)``: returns the normal force of
+    #: the law at a column. It depends on depth and approach speed only: the law has no history and needs no mass.
+    pressure: wp.Function
+    #: ``(pair, piece, to_W, origin, into_own, kappa, normal, patch, sums, normals, patch_rows)``: returns the ``ColumnSums``
+    #: with a polygon added, whose corners are at to_W · coordinates + origin. Friction acts on patches, or is absent.
+    add_piece: wp.Function
     #: ``(state, env, dt, pair, contact_status, depth, share, setting, coefficients, history_in, history_out, patches_out,
     #: body_contacts, ends, end, sums, patch_rows)``: adds the friction of patches, and stores readings and wrenches.
     store_result: wp.Function
@@ -112,16 +162,18 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         has_joints: Whether the effective mass includes the joints of bodies.
     """
     t = structs(real)
-    quat, Model, State, EndWrenches = t.quat, t.Model, t.State, t.EndWrenches
+    vec3, quat, Model, State, EndWrenches = t.vec3, t.quat, t.Model, t.State, t.EndWrenches
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
     has_patches = bool(contact_model.friction.memories)
-    evaluate_contact = functions(contact_model, real, has_joints, has_friction=not has_patches).evaluate_contact
+    evaluation = functions(contact_model, real, has_joints, has_friction=not has_patches)
+    evaluate_contact, force_of_law = evaluation.evaluate_contact, evaluation.force_of_law
+    NormalState = t.NormalState
     friction = patch_functions(contact_model.friction, real)
     friction_of_patch, clear_history = friction.friction, friction.clear_history
     frame = frame_functions(real)
-    to_float64, from_float64 = frame.to_float64, frame.from_float64
+    to_float64, from_float64, velocity_at = frame.to_float64, frame.from_float64, frame.velocity_at
 
     @wp.func
     def axes_of(pair: Pair):
@@ -174,7 +226,96 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         if wp.static(has_patches):
             if wp.length_sq(row_vector(normals, column.patch)) == double(0.0):
                 set_row(normals, column.patch, pair.to_axes * column.normal)
-            add_to_patch(patch_rows, column.patch, normal_force, arm_1, column.normal)
+            second = normal_force * wp.outer(arm_1, arm_1)
+            add_moments_to_patch(
+                patch_rows, column.patch, normal_force, normal_force * arm_1, second, column.normal
+            )
+        return sums
+
+    @wp.func
+    def angular_velocity(state: State, env: int, body: int):
+        if body < 0:
+            return vec3d()
+        return to_float64(state.body_angular_velocity[env, body])
+
+    @wp.func
+    def relative_motion(state: State, env: int, pair: Pair):
+        motion = RelativeMotion()
+        velocity_1 = to_float64(velocity_at(state, env, pair.body_1, from_float64(pair.arm_1)))
+        velocity_2 = to_float64(velocity_at(state, env, pair.body_2, from_float64(pair.arm_2)))
+        motion.velocity = velocity_2 - velocity_1
+        motion.angular_velocity = angular_velocity(state, env, pair.body_2) - angular_velocity(
+            state, env, pair.body_1
+        )
+        return motion
+
+    @wp.func
+    def pressure(
+        env: int,
+        dt: real,
+        pair: Pair,
+        depth: double,
+        approach: double,
+        coefficients: Coefficients,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
+        body_contacts: BodyContacts,
+    ):
+        entry_speed = body_contacts.entry_speed[env, pair.number]
+        normal_state = NormalState()
+        normal_state.delta = real(depth)
+        normal_state.delta_dot = real(approach)
+        normal_state.entry_speed = wp.max(wp.max(entry_speed, normal_state.delta_dot), real(0.0))
+        normal_state.dt = dt
+        is_new = entry_speed < real(0.0)
+        p = coefficients.law[env, pair.number]
+        return double(
+            force_of_law(
+                p, normal_state, is_new, history_in.law, history_out.law, env, pair.number, real(0.0), dt,
+                axes_of(pair), vec3(),
+            )
+        )  # fmt: skip
+
+    @wp.func
+    def add_piece(
+        pair: Pair,
+        piece: PieceSums,
+        to_W: wp.mat33d,
+        origin: vec3d,
+        into_own: vec3d,
+        kappa: double,
+        normal: vec3d,
+        patch: int,
+        sums: ColumnSums,
+        normals: wp.array2d(dtype=double),
+        patch_rows: wp.array2d(dtype=double),
+    ):
+        # First moment of pressure, from the origin of the pair and from the first center of mass.
+        moment = to_W * piece.moment + piece.pressure * origin + (kappa * piece.depth_moment) * into_own
+        moment_1 = moment + piece.pressure * pair.arm_1
+        sums.area += piece.area
+        sums.volume += piece.volume
+        sums.pressure += piece.pressure
+        sums.max_pressure = wp.max(sums.max_pressure, piece.max_pressure)
+        sums.gross_area += piece.gross_area
+        sums.approach += piece.approach
+        sums.force += piece.pressure * normal
+        sums.torque_1 += wp.cross(moment_1, normal)
+        sums.torque_2 -= wp.cross(moment + piece.pressure * pair.arm_2, normal)
+        sums.moment += moment_1
+        if wp.static(has_patches):
+            if wp.length_sq(row_vector(normals, patch)) == double(0.0):
+                set_row(normals, patch, pair.to_axes * normal)
+            # Second moment of the bases of columns: their length is small against the extent of the patch.
+            center = moment_1
+            if piece.pressure != double(0.0):
+                center = moment_1 / piece.pressure
+            mean = double(1.0) / wp.where(piece.pressure == double(0.0), double(1.0), piece.pressure)
+            second = (
+                to_W * (piece.second_moment - mean * wp.outer(piece.moment, piece.moment)) * wp.transpose(to_W)
+            )
+            second += piece.pressure * wp.outer(center, center)
+            add_moments_to_patch(patch_rows, patch, piece.pressure, moment_1, second, normal)
         return sums
 
     @wp.func
@@ -213,7 +354,9 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
             max_elapsed = real(wp.inf)
             if body_contacts.entry_speed[env, pair.number] < real(0.0) and approach_speed > double(0.0):
                 max_elapsed = real(depth / approach_speed)
-            for patch in range(PATCH_COUNT):
+            # Not a constant, so that the loop is not unrolled.
+            patch_count = wp.int32(PATCH_COUNT)
+            for patch in range(patch_count):
                 member = PATCH_COUNT * pair.number + patch
                 patch_shape = shape_of_patch(patch_rows, patch)
                 if patch_shape.normal_force <= double(0.0) or unscaled == double(0.0):
@@ -264,4 +407,4 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         ends.force[env, end + 1] = -total_force_W
         ends.torque[env, end + 1] = from_float64(scale * sums.torque_2)
 
-    return Functions(add_column, store_result)
+    return Functions(add_column, relative_motion, pressure, add_piece, store_result)

@@ -12,7 +12,7 @@ subtracted, so that the sum is the volume below the plane.
 """
 
 import warp as wp
-from warpcontact.kernels.body_contact.polygons import Polygon, centroid, corner, cut, stored, set_corner
+from warpcontact.kernels.body_contact.polygons import Polygon, centroid, cut, set_corner
 from warpcontact.kernels.body_contact.solids import (
     HALF_SPACE,
     Geometries,
@@ -20,7 +20,7 @@ from warpcontact.kernels.body_contact.solids import (
     corner_count,
     face_vertex,
 )
-from warpcontact.kernels.body_contact.surface_queries import INFINITE, PARALLEL, SolidGeometry, plane_offset
+from warpcontact.kernels.body_contact.surface_queries import INFINITE, PARALLEL, SolidGeometry
 
 double = wp.float64
 vec3d = wp.vec3d
@@ -28,6 +28,8 @@ vec3d = wp.vec3d
 # Height over which an entry counts partly, relative to the size of the solid. The side walls of two solids may be in one
 # plane; then half of each counts, as on average to both sides of that pose.
 RAMP = wp.constant(double(1.0e-9))
+# Direction of columns in the coordinates (u, v, t) of a face.
+DOWN = wp.constant(vec3d(double(0.0), double(0.0), double(1.0)))
 
 corner_coordinates = wp.types.matrix(shape=(4, 2), dtype=double)
 
@@ -47,6 +49,17 @@ class FaceFrame:
     # A point of the other solid has (u, v, t) = projection · point + shift.
     projection: wp.mat33d
     shift: vec3d  # [m]
+
+
+@wp.struct
+class ColumnFrame:
+    """Coordinates of the corners of polygons, in which the depth of columns is affine."""
+
+    to_W: wp.mat33d  # coordinates → base of the column, W
+    origin: vec3d  # likewise, relative to the origin of the pair, W [m]
+    direction: vec3d  # of columns
+    depth_factors: vec3d  # depth = depth_factors · coordinates + depth_offset
+    depth_offset: double  # [m]
 
 
 @wp.func
@@ -78,6 +91,17 @@ def face_frame(geometries: Geometries, side: SolidGeometry, other: SolidGeometry
     frame.projection = axes * pose.rotation
     frame.shift = axes * (pose.origin - frame.origin)
     return frame
+
+
+@wp.func
+def frame_of_face(frame: FaceFrame, pose: RelativePose):
+    """Returns the ``ColumnFrame`` of coordinates (u, v, t) of a face; ``pose``: that of its solid, W."""
+    result = ColumnFrame()
+    result.to_W = pose.rotation * wp.matrix_from_cols(frame.u_axis, frame.v_axis, vec3d())
+    result.origin = pose.rotation * frame.origin + pose.origin
+    result.direction = DOWN
+    result.depth_factors = DOWN
+    return result
 
 
 @wp.func
@@ -189,7 +213,7 @@ def column_polygon(
         offset = along_v * frame.corners[start, 0] - along_u * frame.corners[start, 1]
         polygon = cut(corners, polygon, vec3d(-along_v, along_u, double(0.0)), offset)
     if polygon.count > 0 and frame.count > 0 and not is_exit(geometries, frame, face):
-        polygon.weight = entry_weight(other, centroid(corners, polygon)[2])
+        polygon.weight = entry_weight(other, centroid(corners, polygon, DOWN)[2])
     return polygon
 
 
@@ -199,119 +223,4 @@ def cut_by_depth(corners: wp.array2d(dtype=double), polygon: Polygon, shallowest
     polygon = cut(corners, polygon, vec3d(double(0.0), double(0.0), double(1.0)), -shallowest)
     if polygon.count > 0 and deepest < INFINITE:
         polygon = cut(corners, polygon, vec3d(double(0.0), double(0.0), double(-1.0)), deepest)
-    return polygon
-
-
-@wp.func
-def store_planes(planes: wp.array2d(dtype=double), geometries: Geometries, frame: FaceFrame, other: SolidGeometry):
-    """Stores the planes of a convex solid with few planes as seen from a face, and returns their number.
-
-    Rows are (a, b, c, h). A point (u, v, t) is at h − a u − b v − c t inside the plane [m]. c is the cosine of the inward
-    normal of the face and the normal of the plane: columns leave at planes with c > 0.
-    """
-    count = other.end_plane - other.first_plane
-    for i in range(count):
-        face = geometries.plane_face[other.first_plane + i]
-        normal = frame.projection * geometries.normal[face]
-        for k in range(3):
-            planes[i, k] = normal[k]
-        planes[i, 3] = plane_offset(geometries, other, face) + wp.dot(normal, frame.shift)
-    return count
-
-
-@wp.func
-def height_inside(planes: wp.array2d(dtype=double), plane: int, position: vec3d):
-    """Returns the distance of a point (u, v, 0) of the face from a plane, positive inside [m]."""
-    return planes[plane, 3] - planes[plane, 0] * position[0] - planes[plane, 1] * position[1]
-
-
-@wp.func
-def base_polygon(
-    corners: wp.array2d(dtype=double),
-    planes: wp.array2d(dtype=double),
-    plane_count: int,
-    frame: FaceFrame,
-    other: SolidGeometry,
-):
-    """Returns the part of a face that is inside a convex solid with few planes, with depths t of 0; a stored polygon."""
-    polygon = Polygon()
-    polygon.count = frame.count
-    polygon.weight = double(1.0)
-    for i in range(frame.count):
-        set_corner(corners, i, vec3d(frame.corners[i, 0], frame.corners[i, 1], double(0.0)))
-    for plane in range(plane_count):
-        # Inside the plane; at planes that columns would enter, at least within the ramp.
-        offset = planes[plane, 3]
-        if planes[plane, 2] < double(0.0):
-            offset += ramp_height(other)
-        polygon = cut(corners, polygon, vec3d(-planes[plane, 0], -planes[plane, 1], double(0.0)), offset)
-        if polygon.count == 0:
-            return polygon
-    polygon = stored(corners, polygon)
-    middle = centroid(corners, polygon)
-    for plane in range(plane_count):
-        if planes[plane, 2] < double(0.0):
-            polygon.weight = polygon.weight * entry_weight(other, height_inside(planes, plane, middle))
-    return polygon
-
-
-@wp.func
-def exit_depth(planes: wp.array2d(dtype=double), plane: int, position: vec3d):
-    """Returns the depth at which the column at (u, v) crosses a plane [m]; infinite if it does not leave the solid there."""
-    if planes[plane, 2] < PARALLEL:
-        return INFINITE
-    return height_inside(planes, plane, position) / planes[plane, 2]
-
-
-@wp.func
-def least_exit_depth(
-    corners: wp.array2d(dtype=double), planes: wp.array2d(dtype=double), plane_count: int, base: Polygon
-):
-    """Returns the smallest depth of the columns on the base from ``base_polygon`` [m]."""
-    least = INFINITE
-    for plane in range(plane_count):
-        if planes[plane, 2] >= PARALLEL:
-            for i in range(base.count):
-                least = wp.min(least, exit_depth(planes, plane, corner(corners, base, i)))
-    return least
-
-
-@wp.func
-def exit_polygon(
-    corners: wp.array2d(dtype=double),
-    planes: wp.array2d(dtype=double),
-    plane_count: int,
-    base: Polygon,
-    exit: int,
-    shallowest: double,
-    deepest: double,
-):
-    """Returns the base of the columns that leave a convex solid with few planes at one of them.
-
-    Args:
-        corners: Corners of the polygons of the thread.
-        planes: Planes of the solid, from ``store_planes``.
-        plane_count: Their number.
-        base: The part of the face inside the solid, from ``base_polygon``.
-        exit: The plane at which the columns leave.
-        shallowest: Smallest depth [m].
-        deepest: Largest depth [m].
-    """
-    polygon = Polygon()
-    if planes[exit, 2] < PARALLEL:
-        return polygon
-    polygon.count = base.count
-    polygon.weight = base.weight
-    for i in range(base.count):
-        position = corner(corners, base, i)
-        position[2] = exit_depth(planes, exit, position)
-        set_corner(corners, i, position)
-    polygon = cut_by_depth(corners, polygon, shallowest, deepest)
-    for plane in range(plane_count):
-        if polygon.count == 0:
-            return polygon
-        if plane != exit and planes[plane, 2] >= PARALLEL:
-            # The column does not cross the other plane before the exit: its end is inside.
-            inside = -vec3d(planes[plane, 0], planes[plane, 1], planes[plane, 2])
-            polygon = cut(corners, polygon, inside, planes[plane, 3])
     return polygon

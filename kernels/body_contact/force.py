@@ -4,17 +4,32 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.body_contact import solids as solid_functions
-from warpcontact.kernels.body_contact.column_sums import Column, ColumnSums, column_functions, pair_of
+from warpcontact.kernels.body_contact.column_sums import (
+    Column,
+    ColumnSums,
+    PieceSums,
+    RelativeMotion,
+    column_functions,
+    pair_of,
+    with_sample,
+)
 from warpcontact.kernels.body_contact.columns import (
-    base_polygon,
+    ColumnFrame,
+    FaceFrame,
     column_polygon,
-    exit_polygon,
     face_frame,
+    frame_of_face,
     is_apart,
     is_exit,
     position_on_face,
     ramp_height,
+)
+from warpcontact.kernels.body_contact.convex_columns import (
+    BaseFace,
+    base_face,
+    exit_polygon,
     store_planes,
+    with_exit,
 )
 from warpcontact.kernels.body_contact.overlap import (
     FULL_WEIGHT,
@@ -33,7 +48,7 @@ from warpcontact.kernels.body_contact.polygons import (
     centroid,
     corner,
     quadrature_point,
-    signed_area,
+    triangle_area,
 )
 from warpcontact.kernels.body_contact.records import (
     BodyContactSettings,
@@ -87,9 +102,12 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     has_patches = bool(contact_model.friction.memories)
-    # Triangles around the center of area make the result independent of the first corner, if the quadrature is not exact.
+    # The pressure is a product of affine functions, so that the quadrature is exact. Otherwise triangles around the center of area
+    # make the result independent of the first corner.
     is_exact = contact_model.law.bilinear and (has_patches or contact_model.friction is Frictionless)
-    add_column, store_result = column_functions(contact_model, real, per_area, has_joints)
+    of_columns = column_functions(contact_model, real, per_area, has_joints)
+    add_column, store_result = of_columns.add_column, of_columns.store_result
+    relative_motion, pressure, add_piece = of_columns.relative_motion, of_columns.pressure, of_columns.add_piece
     pair_pose = solid_functions.functions(real).pair_pose
 
     @unique_kernel()
@@ -112,6 +130,8 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
         body_contacts: BodyContacts,
         ends: EndWrenches,
     ):
+        # Not a constant, so that its loop is not unrolled.
+        rule_size = wp.int32(RULE_SIZE)
         corners = wp.zeros(shape=(CORNER_ROWS, 3), dtype=double)
         planes = wp.zeros(shape=(MAX_PLANES, 4), dtype=double)
         least_depths = wp.zeros(shape=(LEAST_DEPTHS,), dtype=double)
@@ -157,54 +177,79 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 start_patches(normals, patch_rows, patches_in, env, number)
             part_count = wp.where(half_space, 1, 2)
             sides = wp.int32(0)
+            motion = RelativeMotion()
             if contact_status == CONTACT:
+                motion = relative_motion(state, env, pair)
                 sides = wp.where(second_is_reference, 1, 2)
             for side in range(sides):
                 share = overlap.share
                 kappa = setting.kappa
                 own = second
                 other = first
-                own_pose = pose.first_in_second
-                rotation = pose.rotation
-                origin = vec3d()
+                other_in_own = pose.first_in_second
+                own_in_W = pose.second_axes
+                other_in_W = pose.first_axes
                 if side == 1:
                     share = double(1.0) - overlap.share
                     kappa = double(1.0) - setting.kappa
                     own = first
                     other = second
-                    own_pose = inverse_pose(pose.first_in_second)
-                    rotation = pose.rotation * pose.first_in_second.rotation
-                    origin = pose.rotation * pose.first_in_second.origin
+                    other_in_own = inverse_pose(pose.first_in_second)
+                    own_in_W = pose.first_axes
+                    other_in_W = pose.second_axes
                 if share == double(0.0):
                     continue
                 by_planes = (other.flags & FEW_PLANES) != 0 and not half_space
+                plane_count = wp.int32(0)
+                if by_planes:
+                    plane_count = store_planes(planes, geometries, other)
                 for face in range(own.first_face, own.end_face):
                     if not half_space:
                         shortest = least_depth_of_face(least_depths, side, face - own.first_face)
                         if shortest >= NO_WEIGHT * overlap.depth:
                             continue
-                    face_plane = face_frame(geometries, own, other, own_pose, face)
-                    if is_apart(face_plane, other):
-                        continue
+                    base = BaseFace()
+                    face_plane = FaceFrame()
+                    frame = ColumnFrame()
+                    first_exit = other.first_face
+                    end_exit = other.end_face
                     column = Column()
                     # Out of the second solid.
-                    column.normal = rotation * face_plane.normal
+                    if by_planes:
+                        base = base_face(
+                            corners, planes, plane_count, geometries, own, inverse_pose(other_in_own), other, face
+                        )
+                        if base.area == double(0.0):
+                            continue
+                        first_exit = 0
+                        end_exit = plane_count
+                        frame.to_W = other_in_W.rotation
+                        frame.origin = other_in_W.origin
+                        frame.direction = base.direction
+                        column.normal = -(frame.to_W * base.direction)
+                    else:
+                        face_plane = face_frame(geometries, own, other, other_in_own, face)
+                        if is_apart(face_plane, other):
+                            continue
+                        frame = frame_of_face(face_plane, own_in_W)
+                        column.normal = own_in_W.rotation * face_plane.normal
+                    into_own = -column.normal
                     if side == 1:
-                        column.normal = -column.normal
+                        column.normal = into_own
                     if wp.static(has_patches):
                         column.patch = patch_of(normals, pair.to_axes * column.normal)
-                    first_part = other.first_face
-                    end_part = other.end_face
-                    base = Polygon()
-                    if by_planes:
-                        first_part = 0
-                        end_part = store_planes(planes, geometries, face_plane, other)
-                        base = base_polygon(corners, planes, end_part, face_plane, other)
-                        if base.count == 0:
-                            continue
-                    for exit in range(first_part, end_part):
+                    approach = double(0.0)
+                    approach_gradient = vec3d()
+                    if wp.static(is_exact):
+                        # The approach speed is affine in the position, and does not change along columns.
+                        turning = wp.cross(column.normal, motion.angular_velocity)
+                        approach = wp.dot(column.normal, motion.velocity) + wp.dot(turning, frame.origin)
+                        approach_gradient = wp.transpose(frame.to_W) * turning
+                    for exit in range(first_exit, end_exit):
                         is_entry = wp.bool(False)
-                        if not by_planes:
+                        if by_planes:
+                            frame = with_exit(frame, planes, exit)
+                        else:
                             is_entry = not is_exit(geometries, face_plane, exit)
                         # The weight is a polynomial below and above FULL_WEIGHT × D.
                         for part in range(part_count):
@@ -219,7 +264,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 deepest = NO_WEIGHT * overlap.depth
                             piece = Polygon()
                             if by_planes:
-                                piece = exit_polygon(corners, planes, end_part, base, exit, shallowest, deepest)
+                                piece = exit_polygon(corners, planes, plane_count, base, exit, shallowest, deepest)
                             else:
                                 piece = column_polygon(
                                     corners, geometries, face_plane, other, exit, shallowest, deepest
@@ -231,36 +276,60 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                             if wp.static(is_exact):
                                 triangles -= 2
                             else:
-                                center = centroid(corners, piece)
+                                center = centroid(corners, piece, frame.direction)
                             sign = wp.where(is_entry, -share, share) * piece.weight
-                            for sample in range(RULE_SIZE * triangles):
-                                edge = sample // RULE_SIZE
+                            in_piece = PieceSums()
+                            for triangle in range(triangles):
+                                edge = triangle
                                 if wp.static(is_exact):
                                     edge += 1
                                 corner_1 = corner(corners, piece, edge)
                                 corner_2 = corner(corners, piece, (edge + 1) % piece.count)
-                                point = quadrature_point(center, corner_1, corner_2, sample % RULE_SIZE)
-                                area = sign * point.weight * wp.abs(signed_area(center, corner_1, corner_2))
-                                base_point = position_on_face(face_plane, point.u, point.v)
-                                depth = point.depth
-                                if is_entry and not half_space:
-                                    # Columns of the next exit do not reach it.
-                                    to_other = wp.transpose(own_pose.rotation)
-                                    direction = -(to_other * face_plane.normal)
-                                    start = to_other * (base_point - depth * face_plane.normal - own_pose.origin)
-                                    start += OFFSET * wp.length(other.half_extents) * direction
-                                    depth += first_crossing(geometries, other, start, direction, True).distance
-                                column.depth = depth
-                                column.weight = area * column_weight(depth, overlap, half_space)
-                                # Rounding can make the depth at the boundary of a piece negative.
-                                if column.weight == double(0.0) or depth <= double(0.0):
-                                    continue
-                                column.position = origin + rotation * (
-                                    base_point - kappa * depth * face_plane.normal
+                                signed_area = sign * wp.abs(
+                                    triangle_area(center, corner_1, corner_2, frame.direction)
                                 )
-                                sums = add_column(
-                                    model, state, env, step[env, 0], pair, column, coefficients, history_in,
-                                    history_out, body_contacts, sums, normals, patch_rows,
+                                if signed_area == double(0.0):
+                                    continue
+                                for sample in range(rule_size):
+                                    point = quadrature_point(center, corner_1, corner_2, sample)
+                                    depth = wp.dot(frame.depth_factors, point.position) + frame.depth_offset
+                                    if is_entry and not half_space:
+                                        # Columns of the next exit do not reach it.
+                                        to_other = wp.transpose(other_in_own.rotation)
+                                        start = position_on_face(face_plane, point.position[0], point.position[1])
+                                        start = to_other * (
+                                            start - depth * face_plane.normal - other_in_own.origin
+                                        )
+                                        direction = -(to_other * face_plane.normal)
+                                        start += OFFSET * wp.length(other.half_extents) * direction
+                                        depth += first_crossing(geometries, other, start, direction, True).distance
+                                    weight = signed_area * point.weight * column_weight(depth, overlap, half_space)
+                                    # Rounding can make the depth at the boundary of a piece negative.
+                                    if weight == double(0.0) or depth <= double(0.0):
+                                        continue
+                                    if wp.static(is_exact):
+                                        speed = approach + wp.dot(approach_gradient, point.position)
+                                        force_per_area = pressure(
+                                            env, step[env, 0], pair, depth, speed, coefficients, history_in, history_out,
+                                            body_contacts,
+                                        )  # fmt: skip
+                                        in_piece = with_sample(
+                                            in_piece, force_per_area, weight, depth, speed, point.position
+                                        )
+                                    else:
+                                        column.depth = depth
+                                        column.weight = weight
+                                        column.position = (
+                                            frame.to_W * point.position + frame.origin + kappa * depth * into_own
+                                        )
+                                        sums = add_column(
+                                            model, state, env, step[env, 0], pair, column, coefficients, history_in,
+                                            history_out, body_contacts, sums, normals, patch_rows,
+                                        )  # fmt: skip
+                            if wp.static(is_exact):
+                                sums = add_piece(
+                                    pair, in_piece, frame.to_W, frame.origin, into_own, kappa, column.normal,
+                                    column.patch, sums, normals, patch_rows,
                                 )  # fmt: skip
             store_result(
                 state, env, step[env, 0], pair, contact_status, overlap.depth, overlap.share, setting, coefficients,

@@ -11,19 +11,22 @@ flatter surface is the reference.
 
 import warp as wp
 from warpcontact.kernels.body_contact.columns import (
+    DOWN,
     FaceFrame,
-    base_polygon,
     column_polygon,
     face_frame,
-    height_inside,
     is_apart,
     is_exit,
-    least_exit_depth,
     position_on_face,
     ramp_height,
+)
+from warpcontact.kernels.body_contact.convex_columns import (
+    base_face,
+    deepest_inside,
+    least_exit_depth,
     store_planes,
 )
-from warpcontact.kernels.body_contact.polygons import Polygon, centroid, corner, polygon_area
+from warpcontact.kernels.body_contact.polygons import Polygon, centroid, corner, polygon_area, sample_of_polygon
 from warpcontact.kernels.body_contact.solids import (
     FEW_PLANES,
     HALF_SPACE,
@@ -37,7 +40,9 @@ from warpcontact.kernels.body_contact.solids import (
 from warpcontact.kernels.body_contact.surface_queries import (
     INFINITE,
     SolidGeometry,
+    bounding_box,
     depth_below_surface,
+    is_face_outside,
 )
 
 double = wp.float64
@@ -61,46 +66,6 @@ class Overlap:
 
 
 @wp.func
-def deepest_inside_planes(
-    corners: wp.array2d(dtype=double),
-    planes: wp.array2d(dtype=double),
-    plane_count: int,
-    polygon: Polygon,
-    deepest: double,
-):
-    """Returns the largest distance of a point of a polygon from the nearest plane around it, at least ``deepest`` [m].
-
-    It is evaluated at corners, midpoints of edges and the center.
-    """
-    # The distance from the nearest plane is at most that from any plane, which is largest at a corner.
-    for plane in range(plane_count):
-        largest = -INFINITE
-        for i in range(polygon.count):
-            largest = wp.max(largest, height_inside(planes, plane, corner(corners, polygon, i)))
-        if largest <= deepest:
-            return deepest
-    middle = centroid(corners, polygon)
-    for i in range(2 * polygon.count + 1):
-        point = sample_of_polygon(corners, polygon, middle, i)
-        depth = INFINITE
-        for plane in range(plane_count):
-            depth = wp.min(depth, height_inside(planes, plane, point))
-        deepest = wp.max(deepest, depth)
-    return deepest
-
-
-@wp.func
-def sample_of_polygon(corners: wp.array2d(dtype=double), polygon: Polygon, middle: vec3d, i: int):
-    """Returns sample ``i`` of corners, midpoints of edges and, last, the center ``middle``."""
-    if i == 2 * polygon.count:
-        return middle
-    point = corner(corners, polygon, i // 2)
-    if i % 2 == 1:
-        point = double(0.5) * (point + corner(corners, polygon, (i // 2 + 1) % polygon.count))
-    return point
-
-
-@wp.func
 def deepest_of(
     corners: wp.array2d(dtype=double),
     geometries: Geometries,
@@ -114,7 +79,7 @@ def deepest_of(
 
     It is evaluated at corners, midpoints of edges and the center. A column is at least as long as its base is deep.
     """
-    middle = centroid(corners, polygon)
+    middle = centroid(corners, polygon, DOWN)
     direction = -(wp.transpose(pose.rotation) * frame.normal)
     for i in range(2 * polygon.count + 1):
         point = sample_of_polygon(corners, polygon, middle, i)
@@ -169,9 +134,8 @@ def overlap_of(
         return result
     # Deviation from flatness of the part of each surface that is inside the other solid [m²].
     deviation = wp.vec2d()
-    for side in range(2):
-        if side == 1 and (second.flags & HAS_BOUNDARY) != 0:
-            break
+    sides = wp.where((second.flags & HAS_BOUNDARY) != 0, 1, 2)
+    for side in range(sides):
         own = second
         other = first
         pose = first_in_second
@@ -180,23 +144,34 @@ def overlap_of(
             other = second
             pose = inverse_pose(first_in_second)
         by_planes = (other.flags & FEW_PLANES) != 0
+        own_in_other = inverse_pose(pose)
+        plane_count = wp.int32(0)
+        if by_planes:
+            plane_count = store_planes(planes, geometries, other)
+        # The ramp of coplanar walls reaches beyond the solid.
+        other_box = bounding_box(other, pose)
+        for i in range(3):
+            other_box.lower[i] = other_box.lower[i] - ramp_height(other)
+            other_box.upper[i] = other_box.upper[i] + ramp_height(other)
         total = double(0.0)
         total_vector = vec3d()
         for face in range(own.first_face, own.end_face):
             slot = face_slot(side, face - own.first_face)
             least_depths[slot] = INFINITE
-            frame = face_frame(geometries, own, other, pose, face)
-            if is_apart(frame, other):
+            if is_face_outside(geometries, own, face, other_box):
                 continue
             area = double(0.0)
             if by_planes:
-                plane_count = store_planes(planes, geometries, frame, other)
-                polygon = base_polygon(corners, planes, plane_count, frame, other)
-                if polygon.count > 0:
-                    area = polygon.weight * polygon_area(corners, polygon)
-                    result.depth = deepest_inside_planes(corners, planes, plane_count, polygon, result.depth)
-                    least_depths[slot] = least_exit_depth(corners, planes, plane_count, polygon)
+                base = base_face(corners, planes, plane_count, geometries, own, own_in_other, other, face)
+                if base.area == double(0.0):
+                    continue
+                area = base.area
+                result.depth = deepest_inside(corners, planes, plane_count, base, result.depth)
+                least_depths[slot] = least_exit_depth(corners, planes, plane_count, base)
             else:
+                frame = face_frame(geometries, own, other, pose, face)
+                if is_apart(frame, other):
+                    continue
                 least = INFINITE
                 for other_face in range(other.first_face, other.end_face):
                     leaves = is_exit(geometries, frame, other_face)
@@ -207,15 +182,15 @@ def overlap_of(
                     if polygon.count == 0:
                         continue
                     if leaves:
-                        area += polygon_area(corners, polygon)
+                        area += polygon_area(corners, polygon, DOWN)
                         result.depth = deepest_of(corners, geometries, frame, other, pose, polygon, result.depth)
                     else:
-                        area -= polygon.weight * polygon_area(corners, polygon)
+                        area -= polygon.weight * polygon_area(corners, polygon, DOWN)
                     for i in range(polygon.count):
                         least = wp.min(least, corner(corners, polygon, i)[2])
                 least_depths[slot] = least
             total += area
-            total_vector += area * frame.normal
+            total_vector += area * geometries.normal[face]
         deviation[side] = wp.max(total - wp.length(total_vector), double(0.0))
     if (second.flags & HAS_BOUNDARY) == 0:
         # Faces of the second solid carry more if the first solid is less flat.

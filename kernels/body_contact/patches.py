@@ -100,16 +100,18 @@ def patch_of(rows: wp.array2d(dtype=double), normal: vec3d):
 
 
 @wp.func
-def add_to_patch(sums: wp.array2d(dtype=double), patch: int, normal_force: double, position: vec3d, normal: vec3d):
-    """Adds a column at ``position``, relative to the origin of the sums, W, to the sums of its patch."""
-    sums[patch, 0] = sums[patch, 0] + normal_force
+def add_moments_to_patch(
+    sums: wp.array2d(dtype=double), patch: int, force: double, moment: vec3d, second: wp.mat33d, normal: vec3d
+):
+    """Adds a normal force and its first and second moments, W, to the sums of a patch."""
+    sums[patch, 0] = sums[patch, 0] + force
     for i in range(3):
-        sums[patch, 1 + i] = sums[patch, 1 + i] + normal_force * position[i]
-        sums[patch, 4 + i] = sums[patch, 4 + i] + normal_force * position[i] * position[i]
-        sums[patch, 10 + i] = sums[patch, 10 + i] + normal_force * normal[i]
-    sums[patch, 7] = sums[patch, 7] + normal_force * position[0] * position[1]
-    sums[patch, 8] = sums[patch, 8] + normal_force * position[0] * position[2]
-    sums[patch, 9] = sums[patch, 9] + normal_force * position[1] * position[2]
+        sums[patch, 1 + i] = sums[patch, 1 + i] + moment[i]
+        sums[patch, 4 + i] = sums[patch, 4 + i] + second[i, i]
+        sums[patch, 10 + i] = sums[patch, 10 + i] + force * normal[i]
+    sums[patch, 7] = sums[patch, 7] + second[0, 1]
+    sums[patch, 8] = sums[patch, 8] + second[0, 2]
+    sums[patch, 9] = sums[patch, 9] + second[1, 2]
 
 
 @wp.func

@@ -1,8 +1,8 @@
-"""Convex polygons in the plane of a face: clipping, area and quadrature points.
+"""Convex polygons: clipping, area and quadrature points.
 
-A corner is (u, v, t): coordinates in the plane of a face, and the depth below it, which is linear over the polygon. The
-corners of the polygons of a thread are rows of one array, in blocks of ``MAX_CORNERS`` rows. Each cut reads one block and
-writes another.
+A corner is a point of the solid in which columns end, or (u, v, t): coordinates in the plane of a face, and the depth below
+it. The corners of the polygons of a thread are rows of one array, in blocks of ``MAX_CORNERS`` rows. Each cut reads one block
+and writes another.
 """
 
 import warp as wp
@@ -44,15 +44,13 @@ class Polygon:
 class QuadraturePoint:
     """A point of the quadrature rule on a triangle."""
 
-    u: double  # [m]
-    v: double  # [m]
-    depth: double  # t [m]
+    position: wp.vec3d  # in the coordinates of the corners
     weight: double  # fraction of the area of the triangle [-]
 
 
 @wp.func
 def corner(corners: wp.array2d(dtype=double), polygon: Polygon, i: int):
-    """Returns corner ``i`` (u, v, t)."""
+    """Returns corner ``i``."""
     row = polygon.start + i
     return wp.vec3d(corners[row, 0], corners[row, 1], corners[row, 2])
 
@@ -79,13 +77,18 @@ def stored(corners: wp.array2d(dtype=double), polygon: Polygon):
 
 @wp.func
 def cut(corners: wp.array2d(dtype=double), polygon: Polygon, factors: wp.vec3d, offset: double):
-    """Returns the part of a polygon with factors · (u, v, t) + offset ≥ 0; empty if it has no area."""
+    """Returns the part of a polygon with factors · corner + offset ≥ 0; empty if it has no area."""
     least = offset + wp.dot(factors, corner(corners, polygon, 0))
+    greatest = least
     for i in range(1, polygon.count):
-        least = wp.min(least, offset + wp.dot(factors, corner(corners, polygon, i)))
+        value = offset + wp.dot(factors, corner(corners, polygon, i))
+        least = wp.min(least, value)
+        greatest = wp.max(greatest, value)
     if least >= double(0.0):
         return polygon
     result = Polygon()
+    if greatest < double(0.0):
+        return result
     result.weight = polygon.weight
     if polygon.start == 0:
         result.start = MAX_CORNERS
@@ -110,39 +113,47 @@ def cut(corners: wp.array2d(dtype=double), polygon: Polygon, factors: wp.vec3d, 
 
 
 @wp.func
-def signed_area(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d):
-    """Returns the area of a triangle in the plane of u and v, positive if its corners run counter-clockwise [m²]."""
-    return double(0.5) * (
-        (second[0] - first[0]) * (third[1] - first[1]) - (third[0] - first[0]) * (second[1] - first[1])
-    )
+def triangle_area(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d, axis: wp.vec3d):
+    """Returns the area of a triangle projected along a unit vector, with the sign of its direction around it [m²]."""
+    return double(0.5) * wp.dot(wp.cross(second - first, third - first), axis)
 
 
 @wp.func
-def polygon_area(corners: wp.array2d(dtype=double), polygon: Polygon):
-    """Returns the area of the polygon in the plane of u and v [m²]."""
+def polygon_area(corners: wp.array2d(dtype=double), polygon: Polygon, axis: wp.vec3d):
+    """Returns the magnitude of the area of the polygon projected along a unit vector [m²]."""
     area = double(0.0)
+    first = corner(corners, polygon, 0)
     for i in range(1, polygon.count - 1):
-        area += signed_area(
-            corner(corners, polygon, 0), corner(corners, polygon, i), corner(corners, polygon, i + 1)
-        )
+        area += triangle_area(first, corner(corners, polygon, i), corner(corners, polygon, i + 1), axis)
     return wp.abs(area)
 
 
 @wp.func
-def centroid(corners: wp.array2d(dtype=double), polygon: Polygon):
-    """Returns the center of area (u, v, t) of the polygon; of a polygon without area, its first corner."""
+def centroid(corners: wp.array2d(dtype=double), polygon: Polygon, axis: wp.vec3d):
+    """Returns the center of the area projected along a unit vector; of a polygon without area, its first corner."""
     area = double(0.0)
     moment = wp.vec3d()
     first = corner(corners, polygon, 0)
     for i in range(1, polygon.count - 1):
         second = corner(corners, polygon, i)
         third = corner(corners, polygon, i + 1)
-        part = signed_area(first, second, third)
+        part = triangle_area(first, second, third, axis)
         area += part
         moment += part * (first + second + third)
     if area == double(0.0):
         return first
     return moment / (double(3.0) * area)
+
+
+@wp.func
+def sample_of_polygon(corners: wp.array2d(dtype=double), polygon: Polygon, middle: wp.vec3d, i: int):
+    """Returns sample ``i`` of corners, midpoints of edges and, last, the center ``middle``."""
+    if i == 2 * polygon.count:
+        return middle
+    point = corner(corners, polygon, i // 2)
+    if i % 2 == 1:
+        point = double(0.5) * (point + corner(corners, polygon, (i // 2 + 1) % polygon.count))
+    return point
 
 
 @wp.func
@@ -169,8 +180,6 @@ def quadrature_point(first: wp.vec3d, second: wp.vec3d, third: wp.vec3d, number:
     else:
         position += (far - near) * third
     point = QuadraturePoint()
-    point.u = position[0]
-    point.v = position[1]
-    point.depth = position[2]
+    point.position = position
     point.weight = weight
     return point

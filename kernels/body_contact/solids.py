@@ -70,8 +70,9 @@ class PairPose:
     """Rotations and arms of the two solids of a pair."""
 
     first_in_second: RelativePose
+    first_axes: RelativePose  # pose of the first solid in W axes at the origin of the second solid
+    second_axes: RelativePose  # likewise of the second solid
     orientation: wp.quatd  # second solid → W
-    rotation: wp.mat33d  # the same
     arm_1: wp.vec3d  # from the center of mass of the first body to the origin of the second solid, W [m]
     arm_2: wp.vec3d  # likewise from the second body
 
@@ -155,10 +156,12 @@ def functions(real: type) -> Functions:
         between += body_remainder(state, env, body_1) - body_remainder(state, env, body_2)
         result = PairPose()
         result.orientation = q_2 * pose_2.orientation
-        result.rotation = wp.quat_to_matrix(result.orientation)
-        to_second = wp.transpose(result.rotation)
-        result.first_in_second.rotation = to_second * wp.quat_to_matrix(q_1 * pose_1.orientation)
-        result.first_in_second.origin = to_second * (between + offset_1 - offset_2)
+        result.second_axes.rotation = wp.quat_to_matrix(result.orientation)
+        result.first_axes.rotation = wp.quat_to_matrix(q_1 * pose_1.orientation)
+        result.first_axes.origin = between + offset_1 - offset_2
+        to_second = wp.transpose(result.second_axes.rotation)
+        result.first_in_second.rotation = to_second * result.first_axes.rotation
+        result.first_in_second.origin = to_second * result.first_axes.origin
         result.arm_2 = offset_2
         result.arm_1 = offset_2 - between
         return result

@@ -5,6 +5,7 @@ from warpcontact.kernels.body_contact.solids import (
     CONVEX,
     HALF_SPACE,
     Geometries,
+    RelativePose,
     SolidPose,
     corner_count,
     face_vertex,
@@ -58,6 +59,49 @@ def solid_geometry(geometries: Geometries, pose: SolidPose):
     side.center = scaled(geometries.center[pose.geometry], pose.scale)
     side.half_extents = scaled(geometries.half_extents[pose.geometry], pose.scale)
     return side
+
+
+@wp.struct
+class BoundingBox:
+    """A box with the axes of a frame."""
+
+    lower: vec3d  # [m]
+    upper: vec3d  # [m]
+
+
+@wp.func
+def bounding_box(solid: SolidGeometry, pose: RelativePose):
+    """Returns the bounding box, in another frame, of the bounding box of a solid; ``pose``: that of the solid there."""
+    center = pose.rotation * solid.center + pose.origin
+    reach = vec3d()
+    for i in range(3):
+        for k in range(3):
+            reach[i] = reach[i] + wp.abs(pose.rotation[i, k]) * solid.half_extents[k]
+    result = BoundingBox()
+    result.lower = center - reach
+    result.upper = center + reach
+    return result
+
+
+@wp.func
+def are_boxes_apart(first: BoundingBox, second: BoundingBox):
+    """Returns whether two boxes of one frame have no common point."""
+    gap = wp.max(first.lower - second.upper, second.lower - first.upper)
+    return wp.max(gap) > double(0.0)
+
+
+@wp.func
+def is_face_outside(geometries: Geometries, solid: SolidGeometry, face: int, box: BoundingBox):
+    """Returns whether a face of a solid is outside a box in the frame of the solid."""
+    vertices = geometries.face[face]
+    own = BoundingBox()
+    own.lower = face_vertex(geometries, vertices, 0, solid.scale)
+    own.upper = own.lower
+    for i in range(1, corner_count(vertices)):
+        vertex = face_vertex(geometries, vertices, i, solid.scale)
+        own.lower = wp.min(own.lower, vertex)
+        own.upper = wp.max(own.upper, vertex)
+    return are_boxes_apart(own, box)
 
 
 @wp.func

@@ -111,6 +111,9 @@ class Functions(NamedTuple):
     #: ``torsion_radius`` < 0: mean arm of a Hertz pressure, from the overlap [m]; ``q_WS``: axes of the surface →
     #: W, read only if ``needs_surface_axes``.
     evaluate_contact: wp.Function
+    #: ``(p, normal_state, is_new, history_in, history_out, env, member, max_elapsed, dt, q_WS, n_W)``: returns the normal
+    #: force of the law; ``p``: its coefficients, ``is_new``: whether the contact begins [N].
+    force_of_law: wp.Function
     #: ``(history_out, env, member, armed, dt)``: clears the history variables of an open contact. A contact that
     #: was never on the outer side (``armed`` 0) starts without slip when it is enabled or placed in overlap.
     clear_history: wp.Function
@@ -142,6 +145,8 @@ def functions(
         kinematics_structs(real).ContactForce,
     )
     Coefficients, MaterialHistory = group_structs(contact_model, real)
+    LawCoefficients = coefficient_struct(contact_model.law, real)
+    LawMemory = wp.array2d(dtype=history_variables.memory_struct(contact_model.law, real))
     law_force, law_start_force, clear_law_history = history_variables.functions(contact_model.law, real)
     friction_force, _, clear_friction_history = history_variables.functions(contact_model.friction, real)
     rolling_force, _, clear_rolling_history = history_variables.functions(contact_model.rolling, real)
@@ -209,6 +214,34 @@ def functions(
         return tangential_state
 
     @wp.func
+    def force_of_law(
+        p: LawCoefficients,
+        normal_state: NormalState,
+        is_new: bool,
+        history_in: LawMemory,
+        history_out: LawMemory,
+        env: int,
+        member: int,
+        max_elapsed: real,
+        dt: real,
+        q_WS: quat,
+        n_W: vec3,
+    ):
+        """Returns the normal force of the law [N]."""
+        force = clip_pull(
+            law_force(history_in, history_out, env, member, p, normal_state, max_elapsed, dt, q_WS, n_W)
+        )
+        # The force of a step acts from half a step before this state to half a step after. If the contact began
+        # since the last state, its part of that interval is δ/(δ̇ dt) + 1/2 steps. For a law that is continuous at
+        # δ = 0 the correction is of higher order; a law with a jump (dashpot) gets its missing impulse.
+        approach_distance = normal_state.delta_dot * dt
+        if is_new and normal_state.delta <= approach_distance * real(1.001):
+            step_fraction = wp.min(normal_state.delta / approach_distance, real(1.0))
+            normal_state.delta = normal_state.delta * real(1.0e-6)
+            force = clip_pull(force + (step_fraction - real(0.5)) * clip_pull(law_start_force(p, normal_state)))
+        return force
+
+    @wp.func
     def evaluate_contact(
         model: Model,
         state: State,
@@ -252,8 +285,8 @@ def functions(
         if is_new and approach > real(0.0):
             max_elapsed = normal_state.delta / approach
         p = coefficients.law[env, member]
-        normal_force = clip_pull(
-            law_force(history_in.law, history_out.law, env, member, p, normal_state, max_elapsed, dt, q_WS, n_W)
+        normal_force = force_of_law(
+            p, normal_state, is_new, history_in.law, history_out.law, env, member, max_elapsed, dt, q_WS, n_W
         )
         tension = real(0.0)
         if wp.static(pulls):
@@ -261,17 +294,6 @@ def functions(
             tension = tension_of(p, normal_state)
             if tension < real(0.0):
                 tension = real(0.0)
-
-        # The force of a step acts from half a step before this state to half a step after. If the contact began
-        # since the last state, its part of that interval is δ/(δ̇ dt) + 1/2 steps. For a law that is continuous at
-        # δ = 0 the correction is of higher order; a law with a jump (dashpot) gets its missing impulse.
-        approach_distance = approach * dt
-        if is_new and normal_state.delta <= approach_distance * real(1.001):
-            step_fraction = wp.min(normal_state.delta / approach_distance, real(1.0))
-            normal_state.delta = normal_state.delta * real(1.0e-6)
-            normal_force = clip_pull(
-                normal_force + (step_fraction - real(0.5)) * clip_pull(law_start_force(p, normal_state))
-            )
 
         tangential_state = TangentialState()
         tangential_state.normal = n_W
@@ -355,4 +377,4 @@ def functions(
         clear_rolling_history(history_out.rolling, env, member, elapsed)
         clear_torsion_history(history_out.torsion, env, member, elapsed)
 
-    return Functions(evaluate_contact, clear_history)
+    return Functions(evaluate_contact, force_of_law, clear_history)

@@ -44,7 +44,8 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
     Contacts, Wrenches = t.Contacts, t.Wrenches
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
-    evaluate_contact, clear_history = contact_evaluation.functions(contact_model, real, has_joints)
+    evaluation = contact_evaluation.functions(contact_model, real, has_joints)
+    evaluate_contact, clear_history = evaluation.evaluate_contact, evaluation.clear_history
     has_torsion, needs_curvature = contact_model.has_torsion, contact_model.law.needs_curvature
     facing_fraction = frames.functions(real).facing_fraction
 

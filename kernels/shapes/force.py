@@ -48,7 +48,8 @@ def contact_forces(parts: ContactModel, real: type, has_joints: bool = False) ->
     ShapeContacts = shape_contact_structs(real).ShapeContacts
     Coefficients, Memory = group_structs(parts, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
-    evaluate_contact, clear_history = contact_evaluation.functions(parts, real, has_joints)
+    evaluation = contact_evaluation.functions(parts, real, has_joints)
+    evaluate_contact, clear_history = evaluation.evaluate_contact, evaluation.clear_history
     needs_curvature, oriented = uses_curvature(parts), parts.needs_surface_axes
 
     @unique_kernel()
