@@ -20,7 +20,7 @@ from warpcontact.kernels.body_contact.solids import (
     corner_count,
     face_vertex,
 )
-from warpcontact.kernels.body_contact.surface_queries import INFINITE, PARALLEL, SolidGeometry
+from warpcontact.kernels.body_contact.surface_queries import INFINITE, PARALLEL, BoundingBox, SolidGeometry
 
 double = wp.float64
 vec3d = wp.vec3d
@@ -149,6 +149,30 @@ def is_exit(geometries: Geometries, frame: FaceFrame, face: int):
     """Returns whether columns leave the other solid at one of its faces; otherwise they enter it there."""
     inward = vec3d(frame.projection[2, 0], frame.projection[2, 1], frame.projection[2, 2])
     return wp.dot(inward, geometries.normal[face]) > double(0.0)
+
+
+@wp.func
+def whole_face(corners: wp.array2d(dtype=double), frame: FaceFrame):
+    """Returns the polygon of a face, with depths t of 0."""
+    polygon = Polygon()
+    polygon.count = frame.count
+    polygon.weight = double(1.0)
+    for i in range(frame.count):
+        set_corner(corners, i, vec3d(frame.corners[i, 0], frame.corners[i, 1], double(0.0)))
+    return polygon
+
+
+@wp.func
+def columns_box(frame: FaceFrame, other: SolidGeometry, deepest: double):
+    """Returns the box of columns on a face up to a depth, in coordinates (u, v, t)."""
+    box = BoundingBox()
+    ramp = ramp_height(other)
+    box.lower = vec3d(frame.lower[0], frame.lower[1], -ramp)
+    box.upper = vec3d(frame.upper[0], frame.upper[1], deepest)
+    if frame.count == 0:
+        box.lower = vec3d(-INFINITE, -INFINITE, -ramp)
+        box.upper = vec3d(INFINITE, INFINITE, deepest)
+    return box
 
 
 @wp.func

@@ -14,17 +14,25 @@ from warpcontact.kernels.body_contact.columns import (
     DOWN,
     FaceFrame,
     column_polygon,
+    columns_box,
     face_frame,
     is_apart,
     is_exit,
     position_on_face,
     ramp_height,
+    whole_face,
 )
 from warpcontact.kernels.body_contact.convex_columns import (
     base_face,
     deepest_inside,
     least_exit_depth,
     store_planes,
+)
+from warpcontact.kernels.body_contact.face_trees import (
+    distance_to_surface,
+    is_inside_solid,
+    next_leaf_in_box,
+    start_traversal,
 )
 from warpcontact.kernels.body_contact.polygons import Polygon, centroid, corner, polygon_area, sample_of_polygon
 from warpcontact.kernels.body_contact.solids import (
@@ -36,12 +44,13 @@ from warpcontact.kernels.body_contact.solids import (
     corner_count,
     face_vertex,
     inverse_pose,
+    no_motion,
 )
 from warpcontact.kernels.body_contact.surface_queries import (
     INFINITE,
+    BoundingBox,
     SolidGeometry,
     bounding_box,
-    depth_below_surface,
     is_face_outside,
 )
 
@@ -68,42 +77,150 @@ class Overlap:
 @wp.func
 def deepest_of(
     corners: wp.array2d(dtype=double),
+    pending: wp.array(dtype=wp.int32),
+    bottom: int,
     geometries: Geometries,
     frame: FaceFrame,
     other: SolidGeometry,
     pose: RelativePose,
     polygon: Polygon,
+    is_inside: bool,
     deepest: double,
 ):
     """Returns the largest depth below the surface of the other solid on a polygon, at least ``deepest`` [m].
 
     It is evaluated at corners, midpoints of edges and the center. A column is at least as long as its base is deep.
+
+    Args:
+        corners: Corners of the polygons of the thread.
+        pending: Pending nodes of the thread.
+        bottom: Number of pending nodes of other traversals.
+        geometries: The geometries.
+        frame: The face of the polygon.
+        other: The other solid.
+        pose: Its pose in the solid of the face.
+        polygon: Corners (u, v, t) with the depths t of columns.
+        is_inside: Whether the polygon is known to be inside the other solid; then the depths t do not matter.
+        deepest: Depth of other polygons [m].
     """
     middle = centroid(corners, polygon, DOWN)
-    direction = -(wp.transpose(pose.rotation) * frame.normal)
+    to_other = wp.transpose(pose.rotation)
+    direction = -(to_other * frame.normal)
     for i in range(2 * polygon.count + 1):
         point = sample_of_polygon(corners, polygon, middle, i)
-        if point[2] > deepest:
-            position = position_on_face(frame, point[0], point[1]) - pose.origin
-            depth = depth_below_surface(geometries, other, wp.transpose(pose.rotation) * position, direction)
-            deepest = wp.max(deepest, wp.min(depth, point[2]))
+        if is_inside or point[2] > deepest:
+            position = to_other * (position_on_face(frame, point[0], point[1]) - pose.origin)
+            limit = point[2]
+            if is_inside:
+                limit = INFINITE
+            depth = distance_to_surface(pending, bottom, geometries, other, position, limit)
+            if depth <= deepest:
+                continue
+            if not is_inside:
+                if not is_inside_solid(pending, bottom, geometries, other, position, direction):
+                    continue
+            deepest = wp.max(deepest, depth)
     return deepest
 
 
 @wp.func
-def depth_below_plane(geometries: Geometries, solid: SolidGeometry, pose: RelativePose):
+def depth_below_plane(
+    pending: wp.array(dtype=wp.int32), geometries: Geometries, solid: SolidGeometry, pose: RelativePose
+):
     """Returns the depth of the lowest point of a solid below the plane z = 0 of a half-space [m]."""
     lowest = double(0.0)
     up = vec3d(pose.rotation[2, 0], pose.rotation[2, 1], pose.rotation[2, 2])
-    for face in range(solid.first_face, solid.end_face):
-        # A lowest point is a vertex of a face that looks down.
-        if wp.dot(up, geometries.normal[face]) < double(0.0):
-            vertices = geometries.face[face]
-            for i in range(corner_count(vertices)):
-                lowest = wp.min(
-                    lowest, wp.dot(up, face_vertex(geometries, vertices, i, solid.scale)) + pose.origin[2]
-                )
+    box = BoundingBox()
+    box.lower = -vec3d(INFINITE, INFINITE, INFINITE)
+    box.upper = vec3d(INFINITE, INFINITE, double(0.0))
+    top = start_traversal(pending, 0, solid)
+    while top > 0:
+        box.upper[2] = lowest
+        leaf = next_leaf_in_box(pending, 0, top, geometries, solid, pose, box)
+        top = leaf.top
+        for face in range(leaf.first_face, leaf.end_face):
+            # A lowest point is a vertex of a face that looks down.
+            if wp.dot(up, geometries.normal[face]) < double(0.0):
+                vertices = geometries.face[face]
+                for i in range(corner_count(vertices)):
+                    vertex = face_vertex(geometries, vertices, i, solid.scale)
+                    lowest = wp.min(lowest, wp.dot(up, vertex) + pose.origin[2])
     return -lowest
+
+
+@wp.struct
+class FaceOverlap:
+    """The part of a face that is inside another solid."""
+
+    area: double  # [m²]
+    depth: double  # D of all faces so far [m]
+    least: double  # smallest depth of its columns [m]
+
+
+@wp.func
+def overlap_of_face(
+    corners: wp.array2d(dtype=double),
+    pending: wp.array(dtype=wp.int32),
+    bottom: int,
+    geometries: Geometries,
+    own: SolidGeometry,
+    other: SolidGeometry,
+    pose: RelativePose,
+    face: int,
+    deepest: double,
+):
+    """Returns the ``FaceOverlap`` of a face of ``own`` and the other solid, whose pose in ``own`` is ``pose``."""
+    result = FaceOverlap()
+    result.depth = deepest
+    result.least = INFINITE
+    frame = face_frame(geometries, own, other, pose, face)
+    if is_apart(frame, other):
+        return result
+    # A face that is farther from the surface than its size is wholly inside or outside.
+    middle = double(0.5) * (frame.lower + frame.upper)
+    radius = double(0.5) * wp.length(frame.upper - frame.lower)
+    to_other = wp.transpose(pose.rotation)
+    position = to_other * (position_on_face(frame, middle[0], middle[1]) - pose.origin)
+    distance = distance_to_surface(pending, bottom, geometries, other, position, radius)
+    if distance >= radius:
+        direction = -(to_other * frame.normal)
+        if is_inside_solid(pending, bottom, geometries, other, position, direction):
+            polygon = whole_face(corners, frame)
+            result.area = polygon_area(corners, polygon, DOWN)
+            result.least = double(0.0)
+            distance = distance_to_surface(pending, bottom, geometries, other, position, INFINITE)
+            if distance + radius > deepest:
+                result.depth = deepest_of(
+                    corners, pending, bottom, geometries, frame, other, pose, polygon, True, deepest
+                )
+        return result
+    to_face = RelativePose()
+    to_face.rotation = frame.projection
+    to_face.origin = frame.shift
+    box = columns_box(frame, other, INFINITE)
+    top = start_traversal(pending, bottom, other)
+    while top > bottom:
+        leaf = next_leaf_in_box(pending, bottom, top, geometries, other, to_face, box)
+        top = leaf.top
+        for other_face in range(leaf.first_face, leaf.end_face):
+            leaves = is_exit(geometries, frame, other_face)
+            shallowest = double(0.0)
+            if not leaves:
+                shallowest = -ramp_height(other)
+            polygon = column_polygon(corners, geometries, frame, other, other_face, shallowest, INFINITE)
+            if polygon.count == 0:
+                continue
+            if leaves:
+                result.area += polygon_area(corners, polygon, DOWN)
+                if distance + radius > result.depth:
+                    result.depth = deepest_of(
+                        corners, pending, top, geometries, frame, other, pose, polygon, False, result.depth
+                    )
+            else:
+                result.area -= polygon.weight * polygon_area(corners, polygon, DOWN)
+            for i in range(polygon.count):
+                result.least = wp.min(result.least, corner(corners, polygon, i)[2])
+    return result
 
 
 @wp.func
@@ -111,6 +228,7 @@ def overlap_of(
     corners: wp.array2d(dtype=double),
     planes: wp.array2d(dtype=double),
     least_depths: wp.array(dtype=double),
+    pending: wp.array(dtype=wp.int32),
     geometries: Geometries,
     first: SolidGeometry,
     second: SolidGeometry,
@@ -122,6 +240,7 @@ def overlap_of(
         corners: Corners of the polygons of the thread.
         planes: Room for the planes of a solid.
         least_depths: Receives the smallest depth of the columns on each face, see ``face_slot`` [m].
+        pending: Pending nodes of the thread.
         geometries: The geometries.
         first: The first solid.
         second: The second solid.
@@ -130,7 +249,7 @@ def overlap_of(
     result = Overlap()
     result.share = double(1.0)
     if (second.flags & HALF_SPACE) != 0:
-        result.depth = depth_below_plane(geometries, first, first_in_second)
+        result.depth = depth_below_plane(pending, geometries, first, first_in_second)
         return result
     # Deviation from flatness of the part of each surface that is inside the other solid [m²].
     deviation = wp.vec2d()
@@ -148,49 +267,35 @@ def overlap_of(
         plane_count = wp.int32(0)
         if by_planes:
             plane_count = store_planes(planes, geometries, other)
+        for slot in range(SLOTS_PER_SIDE):
+            least_depths[face_slot(side, slot)] = INFINITE
         # The ramp of coplanar walls reaches beyond the solid.
-        other_box = bounding_box(other, pose)
-        for i in range(3):
-            other_box.lower[i] = other_box.lower[i] - ramp_height(other)
-            other_box.upper[i] = other_box.upper[i] + ramp_height(other)
+        other_box = bounding_box(other, pose, ramp_height(other))
         total = double(0.0)
         total_vector = vec3d()
-        for face in range(own.first_face, own.end_face):
-            slot = face_slot(side, face - own.first_face)
-            least_depths[slot] = INFINITE
-            if is_face_outside(geometries, own, face, other_box):
-                continue
-            area = double(0.0)
-            if by_planes:
-                base = base_face(corners, planes, plane_count, geometries, own, own_in_other, other, face)
-                if base.area == double(0.0):
+        top = start_traversal(pending, 0, own)
+        while top > 0:
+            leaf = next_leaf_in_box(pending, 0, top, geometries, own, no_motion(), other_box)
+            top = leaf.top
+            for face in range(leaf.first_face, leaf.end_face):
+                if is_face_outside(geometries, own, face, other_box):
                     continue
-                area = base.area
-                result.depth = deepest_inside(corners, planes, plane_count, base, result.depth)
-                least_depths[slot] = least_exit_depth(corners, planes, plane_count, base)
-            else:
-                frame = face_frame(geometries, own, other, pose, face)
-                if is_apart(frame, other):
-                    continue
-                least = INFINITE
-                for other_face in range(other.first_face, other.end_face):
-                    leaves = is_exit(geometries, frame, other_face)
-                    shallowest = double(0.0)
-                    if not leaves:
-                        shallowest = -ramp_height(other)
-                    polygon = column_polygon(corners, geometries, frame, other, other_face, shallowest, INFINITE)
-                    if polygon.count == 0:
+                overlap = FaceOverlap()
+                if by_planes:
+                    base = base_face(corners, planes, plane_count, geometries, own, own_in_other, other, face)
+                    if base.area == double(0.0):
                         continue
-                    if leaves:
-                        area += polygon_area(corners, polygon, DOWN)
-                        result.depth = deepest_of(corners, geometries, frame, other, pose, polygon, result.depth)
-                    else:
-                        area -= polygon.weight * polygon_area(corners, polygon, DOWN)
-                    for i in range(polygon.count):
-                        least = wp.min(least, corner(corners, polygon, i)[2])
-                least_depths[slot] = least
-            total += area
-            total_vector += area * geometries.normal[face]
+                    overlap.area = base.area
+                    overlap.depth = deepest_inside(corners, planes, plane_count, base, result.depth)
+                    overlap.least = least_exit_depth(corners, planes, plane_count, base)
+                else:
+                    overlap = overlap_of_face(
+                        corners, pending, top, geometries, own, other, pose, face, result.depth
+                    )
+                result.depth = overlap.depth
+                least_depths[face_slot(side, face - own.first_face)] = overlap.least
+                total += overlap.area
+                total_vector += overlap.area * geometries.normal[face]
         deviation[side] = wp.max(total - wp.length(total_vector), double(0.0))
     if (second.flags & HAS_BOUNDARY) == 0:
         # Faces of the second solid carry more if the first solid is less flat.

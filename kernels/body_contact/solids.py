@@ -14,10 +14,9 @@ from warpcontact.kernels.types import Struct, structs
 double = wp.float64
 
 # Properties of a geometry.
-CONVEX = 1
-HALF_SPACE = 2  # z ≤ 0; it has one face without vertices
-HAS_BOUNDARY = 4  # a surface with a boundary; only its own faces carry columns
-FEW_PLANES = 8  # convex, with at most MAX_PLANES planes
+HALF_SPACE = 1  # z ≤ 0; it has one face without vertices
+HAS_BOUNDARY = 2  # a surface with a boundary; only its own faces carry columns
+FEW_PLANES = 4  # convex, with at most MAX_PLANES planes
 #: Largest number of planes of a convex solid by which faces are cut.
 MAX_PLANES = 8
 
@@ -34,7 +33,12 @@ class Geometries:
     face_start: wp.array(dtype=wp.int32)  # [geometry + 1]
     plane_face: wp.array(dtype=wp.int32)  # [plane] the first face in each plane of faces
     plane_start: wp.array(dtype=wp.int32)  # [geometry + 1]
-    flags: wp.array(dtype=wp.int32)  # [geometry] CONVEX, HALF_SPACE, OPEN
+    # Trees of bounding boxes over faces: [node] first of two children, which are consecutive, or −1; first face; end of faces.
+    node: wp.array(dtype=wp.vec3i)
+    node_lower: wp.array(dtype=wp.vec3d)  # [node] [unit of the geometry]
+    node_upper: wp.array(dtype=wp.vec3d)
+    root: wp.array(dtype=wp.int32)  # [geometry] node
+    flags: wp.array(dtype=wp.int32)  # [geometry] HALF_SPACE, HAS_BOUNDARY, FEW_PLANES
     center: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]
     half_extents: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]
 
@@ -81,6 +85,14 @@ class PairPose:
 def scaled(position: wp.vec3d, scale: wp.vec3d):
     """Returns a position of a geometry in metres."""
     return wp.cw_mul(position, scale)
+
+
+@wp.func
+def no_motion():
+    """Returns the pose of a frame relative to itself."""
+    result = RelativePose()
+    result.rotation = wp.identity(n=3, dtype=double)
+    return result
 
 
 @wp.func

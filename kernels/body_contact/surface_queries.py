@@ -1,9 +1,7 @@
-"""Queries of the surface of one solid: crossings with a ray, and depth of a point below the surface."""
+"""One solid of a pair: its bounding box, and distances from one of its faces."""
 
 import warp as wp
 from warpcontact.kernels.body_contact.solids import (
-    CONVEX,
-    HALF_SPACE,
     Geometries,
     RelativePose,
     SolidPose,
@@ -30,6 +28,7 @@ class SolidGeometry:
 
     first_face: wp.int32
     end_face: wp.int32
+    root: wp.int32  # of its tree of faces
     first_plane: wp.int32
     end_plane: wp.int32
     flags: wp.int32  # of its geometry
@@ -38,20 +37,13 @@ class SolidGeometry:
     half_extents: vec3d  # of its bounding box [m]
 
 
-@wp.struct
-class Crossing:
-    """Where a ray crosses a surface."""
-
-    distance: double  # along the ray; infinite: nowhere [m]
-    leaves: wp.int32  # 1: the ray leaves the solid; 0: it enters the solid
-
-
 @wp.func
 def solid_geometry(geometries: Geometries, pose: SolidPose):
     """Returns the ``SolidGeometry`` of a solid."""
     side = SolidGeometry()
     side.first_face = geometries.face_start[pose.geometry]
     side.end_face = geometries.face_start[pose.geometry + 1]
+    side.root = geometries.root[pose.geometry]
     side.first_plane = geometries.plane_start[pose.geometry]
     side.end_plane = geometries.plane_start[pose.geometry + 1]
     side.flags = geometries.flags[pose.geometry]
@@ -70,10 +62,16 @@ class BoundingBox:
 
 
 @wp.func
-def bounding_box(solid: SolidGeometry, pose: RelativePose):
-    """Returns the bounding box, in another frame, of the bounding box of a solid; ``pose``: that of the solid there."""
+def bounding_box(solid: SolidGeometry, pose: RelativePose, margin: double):
+    """Returns a box in another frame around the bounding box of a solid.
+
+    Args:
+        solid: The solid.
+        pose: Its pose in the other frame.
+        margin: Distance of the faces of the box from the solid [m].
+    """
     center = pose.rotation * solid.center + pose.origin
-    reach = vec3d()
+    reach = vec3d(margin, margin, margin)
     for i in range(3):
         for k in range(3):
             reach[i] = reach[i] + wp.abs(pose.rotation[i, k]) * solid.half_extents[k]
@@ -129,36 +127,6 @@ def is_on_face(geometries: Geometries, side: SolidGeometry, face: int, position:
 
 
 @wp.func
-def first_crossing(geometries: Geometries, side: SolidGeometry, origin: vec3d, direction: vec3d, only_exits: bool):
-    """Returns where a ray in the frame of a solid first crosses its surface.
-
-    Args:
-        geometries: The geometries.
-        side: The solid; not a half-space.
-        origin: Start of the ray [m].
-        direction: Unit vector.
-        only_exits: Whether to ignore places where the ray enters the solid.
-    """
-    result = Crossing()
-    result.distance = INFINITE
-    convex = (side.flags & CONVEX) != 0
-    for face in range(side.first_face, side.end_face):
-        normal = geometries.normal[face]
-        cosine = wp.dot(normal, direction)
-        if wp.abs(cosine) < PARALLEL or ((only_exits or convex) and cosine < double(0.0)):
-            continue
-        distance = (plane_offset(geometries, side, face) - wp.dot(normal, origin)) / cosine
-        if distance < OFFSET * wp.length(side.half_extents) or distance >= result.distance:
-            continue
-        if not convex:
-            if not is_on_face(geometries, side, face, origin + distance * direction):
-                continue
-        result.distance = distance
-        result.leaves = wp.where(cosine > double(0.0), 1, 0)
-    return result
-
-
-@wp.func
 def distance_to_segment(position: vec3d, start: vec3d, end: vec3d):
     """Returns the distance of a point from a segment [m]."""
     along = end - start
@@ -182,29 +150,3 @@ def distance_to_face(geometries: Geometries, side: SolidGeometry, face: int, pos
         least = wp.min(least, distance_to_segment(position, previous, current))
         previous = current
     return least
-
-
-@wp.func
-def depth_below_surface(geometries: Geometries, side: SolidGeometry, position: vec3d, direction: vec3d):
-    """Returns the distance of a point inside a solid from its surface; 0 or less if the point is outside [m].
-
-    Args:
-        geometries: The geometries.
-        side: The solid.
-        position: The point, in the frame of the solid [m].
-        direction: Direction of a ray that crosses the surface.
-    """
-    if side.flags & HALF_SPACE:
-        return -position[2]
-    convex = (side.flags & CONVEX) != 0
-    if not convex:
-        crossing = first_crossing(geometries, side, position, direction, False)
-        if crossing.leaves == 0:
-            return double(0.0)
-    depth = INFINITE
-    for face in range(side.first_face, side.end_face):
-        if convex:
-            depth = wp.min(depth, plane_offset(geometries, side, face) - wp.dot(geometries.normal[face], position))
-        else:
-            depth = wp.min(depth, distance_to_face(geometries, side, face, position))
-    return depth

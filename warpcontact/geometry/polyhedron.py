@@ -3,10 +3,12 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.geometry.face_tree import FaceTree
 from warpcontact.meshes import Mesh
 from warpcontact.validation.checks import Array
 
@@ -24,14 +26,29 @@ class Polyhedron:
         faces: Vertices of each face, counter-clockwise as seen from outside, (F, 4); the last of a triangle is −1.
         plane_faces: The first face of each group of connected faces in one plane, (P,).
         is_closed: Whether it has no boundary.
-        is_convex: Whether it is closed and convex.
+        tree: Tree of the faces, in whose order they are.
     """
 
     vertices: Array
     faces: NDArray[np.int32]
     plane_faces: NDArray[np.int32]
     is_closed: bool
-    is_convex: bool
+    tree: FaceTree
+
+    @classmethod
+    def from_faces(
+        cls,
+        vertices: Array,
+        faces: NDArray[np.int32],
+        plane_faces: NDArray[np.int32],
+        *,
+        is_closed: bool,
+    ) -> "Polyhedron":
+        """Returns the polyhedron of convex faces, sorted by the leaves of their tree."""
+        tree = FaceTree.from_faces(vertices, faces)
+        sorted_number = np.empty(len(faces), dtype=np.int32)
+        sorted_number[tree.order] = np.arange(len(faces), dtype=np.int32)
+        return cls(vertices, faces[tree.order], sorted_number[plane_faces], is_closed, tree)
 
     @classmethod
     def from_mesh(cls, mesh: Mesh) -> "Polyhedron":
@@ -46,13 +63,16 @@ class Polyhedron:
         plane_faces = []
         for group in _coplanar_groups(vertices, triangles, normals, offsets, _TOLERANCE * size):
             plane_faces.append(len(polygons))
+            if len(group) == 1:
+                polygons.append(triangles[group[0]])
+                continue
             outline = _convex_outline(vertices, triangles[group], normals[group[0]], _TOLERANCE * size)
             polygons += [triangles[number] for number in group] if outline is None else _quadrilaterals(outline)
         faces = np.full((len(polygons), 4), -1, dtype=np.int32)
         for row, polygon in zip(faces, polygons, strict=True):
             row[: len(polygon)] = polygon
-        is_convex = is_closed and _is_convex(vertices, triangles, normals, offsets, _TOLERANCE * size)
-        return cls(vertices, faces, np.array(plane_faces, dtype=np.int32), is_closed, is_convex)
+        planes = np.array(plane_faces, dtype=np.int32)
+        return cls.from_faces(vertices, faces, planes, is_closed=is_closed)
 
     @classmethod
     def unit_box(cls) -> "Polyhedron":
@@ -60,13 +80,23 @@ class Polyhedron:
         vertices = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
         faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
         planes = np.arange(6, dtype=np.int32)
-        return cls(vertices, np.array(faces, dtype=np.int32), planes, is_closed=True, is_convex=True)
+        return cls.from_faces(vertices, np.array(faces, dtype=np.int32), planes, is_closed=True)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Smallest and largest coordinates, (3,) each."""
         used = self.vertices[np.unique(self.faces[self.faces >= 0])]
         return used.min(axis=0), used.max(axis=0)
+
+    @cached_property
+    def is_convex(self) -> bool:
+        """Whether it is closed and convex; takes time and memory in proportion to the product of planes and vertices."""
+        if not self.is_closed:
+            return False
+        normals, _, offsets = (values[self.plane_faces] for values in self.planes())
+        used = self.vertices[np.unique(self.faces[self.faces >= 0])]
+        heights = used @ normals.T - offsets
+        return bool(heights.max() <= _TOLERANCE * np.ptp(used, axis=0).max())
 
     def planes(self) -> tuple[Array, Array, Array]:
         """Returns unit normals (F, 3), unit vectors along the first edges (F, 3), and offsets along the normals (F,)."""
@@ -91,11 +121,7 @@ def _coplanar_groups(
     vertices: Array, triangles: NDArray[np.int32], normals: Array, offsets: Array, tolerance: float
 ) -> list[list[int]]:
     """Returns groups of triangles that are connected by edges and in one plane, in order of their first triangle."""
-    neighbors = defaultdict(list)
-    for number, triangle in enumerate(triangles):
-        for i in range(3):
-            edge = tuple(sorted((int(triangle[i]), int(triangle[(i + 1) % 3]))))
-            neighbors[edge].append(number)
+    neighbors = _coplanar_neighbors(vertices, triangles, normals, offsets, tolerance)
     seen = np.zeros(len(triangles), dtype=bool)
     groups = []
     for start in range(len(triangles)):
@@ -104,17 +130,40 @@ def _coplanar_groups(
         seen[start] = True
         group, normal, offset = [start], normals[start], offsets[start]
         for number in group:
-            triangle = triangles[number]
-            for i in range(3):
-                edge = tuple(sorted((int(triangle[i]), int(triangle[(i + 1) % 3]))))
-                for other in neighbors[edge]:
-                    if seen[other] or normals[other] @ normal <= 0.0:
-                        continue
-                    if np.abs(vertices[triangles[other]] @ normal - offset).max() <= tolerance:
-                        seen[other] = True
-                        group.append(other)
+            for other in neighbors.get(number, ()):
+                if seen[other] or normals[other] @ normal <= 0.0:
+                    continue
+                if np.abs(vertices[triangles[other]] @ normal - offset).max() <= tolerance:
+                    seen[other] = True
+                    group.append(other)
         groups.append(sorted(group))
     return groups
+
+
+def _coplanar_neighbors(
+    vertices: Array, triangles: NDArray[np.int32], normals: Array, offsets: Array, tolerance: float
+) -> dict[int, list[int]]:
+    """Returns the triangles that have an edge in common with each triangle and may be in its plane."""
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    owners = np.repeat(np.arange(len(triangles)), 3)
+    order = np.lexsort(edges.T)
+    edges, owners = edges[order], owners[order]
+    neighbors = defaultdict(list)
+    # Triangles of one edge are consecutive. More than two may have it in common.
+    for distance in range(1, len(edges)):
+        same = (edges[distance:] == edges[:-distance]).all(axis=1)
+        if not same.any():
+            break
+        first, second = owners[:-distance][same], owners[distance:][same]
+        heights = np.einsum("ijk,ik->ij", vertices[triangles[second]], normals[first]) - offsets[first, None]
+        # Twice the tolerance: a group has the plane of its first triangle.
+        flat = (np.abs(heights).max(axis=1) <= 2.0 * tolerance) & (
+            np.einsum("ij,ij->i", normals[first], normals[second]) > 0.0
+        )
+        for one, other in zip(first[flat].tolist(), second[flat].tolist(), strict=True):
+            neighbors[one].append(other)
+            neighbors[other].append(one)
+    return neighbors
 
 
 def _convex_outline(
@@ -155,16 +204,3 @@ def _convex_outline(
 def _quadrilaterals(outline: list[int]) -> list[list[int]]:
     """Returns a convex polygon divided into quadrilaterals, and a triangle if its number of vertices is odd."""
     return [[outline[0], *outline[i : i + 3]] for i in range(1, len(outline) - 1, 2)]
-
-
-def _is_convex(
-    vertices: Array, triangles: NDArray[np.int32], normals: Array, offsets: Array, tolerance: float
-) -> bool:
-    """Returns whether no vertex is outside the plane of a triangle."""
-    used = vertices[np.unique(triangles)]
-    step = max(1, 10_000_000 // len(used))
-    for first in range(0, len(triangles), step):
-        heights = used @ normals[first : first + step].T - offsets[first : first + step]
-        if heights.max() > tolerance:
-            return False
-    return True

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 # Bytes of a pair in the cache of a core: two solids and the results.
 PAIR_BYTES = 500
-# Largest number of pairs of faces of two solids: some milliseconds per step on one core.
-MAX_FACE_PAIRS = 100_000
 _PURPOSE = "body contacts"
 _RANGES = {
     "kappa": limits_of.KAPPA,
@@ -235,22 +233,9 @@ class BodyContactSet(ForceElement):
 
 
 def declare(context: BuildContext, elements: Sequence[BodyContact]) -> list[ForceElement]:
-    """Declares the body contacts of a model, and their solids.
-
-    Raises:
-        ValueError: If two solids have too many faces.
-    """
+    """Declares the body contacts of a model, and their solids."""
     solids = list(dict.fromkeys(solid for contact in elements for pair in contact.pairs for solid in pair))
     tables = SolidTables(solids, context.layout, context.parameters)
-    for contact in elements:
-        for first, second in contact.pairs:
-            counts = tables.face_count(first), tables.face_count(second)
-            if counts[0] * counts[1] > MAX_FACE_PAIRS:
-                raise ValueError(
-                    f"{contact.name}: body contact compares all faces, and supports at most {MAX_FACE_PAIRS:,} pairs of "
-                    f"faces; {first.name!r} has {counts[0]:,} and {second.name!r} has {counts[1]:,} after merging of "
-                    "coplanar triangles. Use a coarser mesh, or add_surface_contact"
-                )
     groups: dict[Any, list[BodyContact]] = {}
     for contact in elements:
         groups.setdefault((contact.parts, contact.per_area), []).append(contact)

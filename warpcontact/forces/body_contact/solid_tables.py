@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from warpcontact.geometry.polyhedron import Polyhedron
 from warpcontact.kernels.body_contact.solids import (
-    CONVEX,
     FEW_PLANES,
     HALF_SPACE,
     HAS_BOUNDARY,
@@ -99,12 +98,6 @@ class SolidTables:
         """Returns the index of a solid."""
         return self._numbers[solid]
 
-    def face_count(self, solid: Solid) -> int:
-        """Returns the largest number of faces of the geometries of a solid."""
-        first = self._first[self._numbers[solid]]
-        count = len(solid.meshes) if isinstance(solid, Surface) else 1
-        return max(1 if one is None else len(one.faces) for one in self._polyhedra[first : first + count])
-
     def _add_geometries(self, solid: Solid) -> int:
         """Adds the geometries of a solid, unless they are there; returns the number of the first."""
         key: Any = tuple(map(id, solid.meshes)) if isinstance(solid, Surface) else solid.kind
@@ -121,14 +114,16 @@ class SolidTables:
         tables |= {
             name: [] for name in ("face", "normal", "u_axis", "offset", "plane_face", "center", "half_extents")
         }
-        vertex_count = 1
+        tables |= {name: [] for name in ("node", "node_lower", "node_upper", "root")}
+        vertex_count, node_count = 1, 0
         for polyhedron in self._polyhedra:
             if polyhedron is None:
                 tables["face"].append(np.zeros((1, 4), dtype=np.int32))
                 for name, row in (("normal", [[0.0, 0.0, 1.0]]), ("u_axis", [[1.0, 0.0, 0.0]]), ("offset", [0.0])):
                     tables[name].append(np.array(row))
-                tables["flags"].append(CONVEX | HALF_SPACE)
+                tables["flags"].append(HALF_SPACE)
                 planes, lower, upper = np.zeros(1, dtype=np.int32), np.zeros(3), np.zeros(3)
+                nodes, boxes = np.array([[-1, 0, 1]]), (np.zeros((1, 3)), np.zeros((1, 3)))
             else:
                 tables["vertex"].append(polyhedron.vertices)
                 own = polyhedron.faces
@@ -136,18 +131,33 @@ class SolidTables:
                 vertex_count += len(polyhedron.vertices)
                 for name, values in zip(("normal", "u_axis", "offset"), polyhedron.planes(), strict=True):
                     tables[name].append(values)
-                few = polyhedron.is_convex and len(polyhedron.plane_faces) <= MAX_PLANES
-                tables["flags"].append(
-                    CONVEX * polyhedron.is_convex | HAS_BOUNDARY * (not polyhedron.is_closed) | FEW_PLANES * few
-                )
+                few = len(polyhedron.plane_faces) <= MAX_PLANES and polyhedron.is_convex
+                tables["flags"].append(HAS_BOUNDARY * (not polyhedron.is_closed) | FEW_PLANES * few)
                 planes = polyhedron.plane_faces
                 lower, upper = polyhedron.bounds
+                nodes, boxes = polyhedron.tree.nodes, (polyhedron.tree.lower, polyhedron.tree.upper)
+            start = tables["face_start"][-1]
+            tables["node"].append(nodes + np.where(nodes >= 0, [[node_count, start, start]], 0))
+            tables["node_lower"].append(boxes[0])
+            tables["node_upper"].append(boxes[1])
+            tables["root"].append(node_count)
+            node_count += len(nodes)
             tables["center"].append(0.5 * (lower + upper))
             tables["half_extents"].append(0.5 * (upper - lower))
             tables["plane_face"].append(planes + tables["face_start"][-1])
             tables["face_start"].append(tables["face_start"][-1] + len(tables["face"][-1]))
             tables["plane_start"].append(tables["plane_start"][-1] + len(planes))
-        for name in ("vertex", "face", "normal", "u_axis", "offset", "plane_face"):
+        for name in (
+            "vertex",
+            "face",
+            "normal",
+            "u_axis",
+            "offset",
+            "plane_face",
+            "node",
+            "node_lower",
+            "node_upper",
+        ):
             tables[name] = np.concatenate(tables[name])
         for name, variable in Geometries.vars.items():
             layout.constant(_PURPOSE, self.geometries, name, tables[name], variable.type.dtype)

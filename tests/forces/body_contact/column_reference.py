@@ -1,0 +1,132 @@
+"""Independent evaluation of body contact: rays from points of a fine subdivision of both surfaces, in NumPy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Overlap and force for a pressure of 1 Pa/m times the depth of columns.
+
+    Attributes:
+        force: On the first body [N].
+        torque: On the first body, about the origin [N·m].
+        depth: D [m].
+        share: Weight of the columns on the second body.
+        scale: Sum of the magnitudes of forces over both surfaces [N].
+    """
+
+    force: np.ndarray
+    torque: np.ndarray
+    depth: float
+    share: float
+    scale: float
+
+
+def subdivide(triangles, size):
+    """Returns centers (N, 3), areas (N,) and triangle numbers (N,) of equal parts of edge length up to ``size``."""
+    centers, areas, numbers = [], [], []
+    edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
+    counts = np.maximum(1, np.ceil(edges / size)).astype(int)
+    area = 0.5 * np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    )
+    for count in np.unique(counts):
+        own = np.flatnonzero(counts == count)
+        i, j = np.mgrid[0:count, 0:count]
+        upright = (i + j < count).ravel()
+        inverted = (i + j < count - 1).ravel()
+        u = np.concatenate([(i.ravel()[upright] + 1 / 3), (i.ravel()[inverted] + 2 / 3)]) / count
+        v = np.concatenate([(j.ravel()[upright] + 1 / 3), (j.ravel()[inverted] + 2 / 3)]) / count
+        t = triangles[own]
+        points = (
+            t[:, None, 0]
+            + u[:, None] * (t[:, None, 1] - t[:, None, 0])
+            + v[:, None] * (t[:, None, 2] - t[:, None, 0])
+        )
+        centers.append(points.reshape(-1, 3))
+        areas.append(np.repeat(area[own] / count**2, len(u)))
+        numbers.append(np.repeat(own, len(u)))
+    return np.concatenate(centers), np.concatenate(areas), np.concatenate(numbers)
+
+
+def first_hits(origins, directions, triangles, chunk=4_000_000):
+    """Returns distances (N,) of the first crossings of rays with triangles, infinite without, and whether they leave, (N,)."""
+    first, edge_1, edge_2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    normals = np.cross(edge_1, edge_2)
+    distance, leaves = np.full(len(origins), np.inf), np.zeros(len(origins), dtype=bool)
+    step = max(1, chunk // len(triangles))
+    for start in range(0, len(origins), step):
+        o, d = origins[start : start + step, None], directions[start : start + step, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cosine = d @ normals.T
+            cosine = cosine[:, 0]
+            t = np.einsum("ijk,jk->ij", first - o, normals) / cosine
+            offset = o + t[..., None] * d - first
+            # Barycentric coordinates of the crossing.
+            area = np.einsum("jk,jk->j", normals, normals)
+            u = np.einsum("ijk,jk->ij", np.cross(offset, edge_2), normals) / area
+            v = np.einsum("ijk,jk->ij", np.cross(edge_1, offset), normals) / area
+            hit = (t > 0) & (u >= 0) & (v >= 0) & (u + v <= 1)
+        t = np.where(hit, t, np.inf)
+        nearest = t.argmin(axis=1)
+        rows = np.arange(len(t))
+        distance[start : start + step] = t[rows, nearest]
+        leaves[start : start + step] = (cosine[rows, nearest] > 0) & np.isfinite(t[rows, nearest])
+    return distance, leaves
+
+
+def distances(points, triangles, chunk=1_000_000):
+    """Returns the distances (N,) of points from the nearest triangle."""
+    result = np.empty(len(points))
+    step = max(1, chunk // len(triangles))
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for start in range(0, len(points), step):
+        p = points[start : start + step, None]
+        height = np.einsum("ijk,jk->ij", p - triangles[:, 0], normals)
+        inside = np.ones(height.shape, dtype=bool)
+        least = np.full(height.shape, np.inf)
+        for i in range(3):
+            a, edge = triangles[:, i], triangles[:, (i + 1) % 3] - triangles[:, i]
+            inside &= np.einsum("ijk,jk->ij", p - a, np.cross(normals, edge)) >= 0
+            along = np.clip(np.einsum("ijk,jk->ij", p - a, edge) / np.einsum("jk,jk->j", edge, edge), 0, 1)
+            least = np.minimum(least, np.linalg.norm(p - a - along[..., None] * edge, axis=2))
+        result[start : start + step] = np.where(inside, np.abs(height), least).min(axis=1)
+    return result
+
+
+def body_contact(first, second, size):
+    """Returns the ``Reference`` of two closed surfaces, triangles (T, 3, 3) in one frame.
+
+    Args:
+        first: Triangles of the first body.
+        second: Triangles of the second body.
+        size: Largest edge of the parts into which triangles are divided [m].
+    """
+    families, depth, deviation = [], 0.0, []
+    for own, other, sign in ((second, first, 1.0), (first, second, -1.0)):
+        low, high = other.min(axis=(0, 1)), other.max(axis=(0, 1))
+        near = ((own.max(axis=1) >= low) & (own.min(axis=1) <= high)).all(axis=1)
+        normals = np.cross(own[:, 1] - own[:, 0], own[:, 2] - own[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        points, areas, numbers = subdivide(own[near], size)
+        normals = normals[near][numbers]
+        close = ((points >= low) & (points <= high)).all(axis=1)
+        points, areas, normals = points[close], areas[close], normals[close]
+        column, inside = first_hits(points, -normals, other)
+        points, areas, normals, column = points[inside], areas[inside], normals[inside], column[inside]
+        if len(points):
+            depth = max(depth, distances(points, other).max())
+        deviation.append(areas.sum() - np.linalg.norm((areas[:, None] * normals).sum(axis=0)))
+        families.append((points, areas, sign * normals, column))
+    share = 0.5 if sum(deviation) <= 0 else deviation[1] / sum(deviation)
+    force, torque, scale = np.zeros(3), np.zeros(3), 0.0
+    for weight, (points, areas, normals, column) in zip((share, 1.0 - share), families, strict=True):
+        x = np.clip((column - 2 * depth) / (2 * depth), 0, 1) if depth else np.zeros_like(column)
+        forces = (weight * areas * column * (1 - x * x * (3 - 2 * x)))[:, None] * normals
+        force += forces.sum(axis=0)
+        torque += np.cross(points, forces).sum(axis=0)
+        scale += np.linalg.norm(forces, axis=1).sum()
+    return Reference(force, torque, float(depth), float(share), float(scale))
