@@ -152,6 +152,15 @@ def is_exit(geometries: Geometries, frame: FaceFrame, face: int):
 
 
 @wp.func
+def pose_in_face(frame: FaceFrame):
+    """Returns the pose of the other solid in the coordinates (u, v, t) of a face."""
+    result = RelativePose()
+    result.rotation = frame.projection
+    result.origin = frame.shift
+    return result
+
+
+@wp.func
 def whole_face(corners: wp.array2d(dtype=double), frame: FaceFrame):
     """Returns the polygon of a face, with depths t of 0."""
     polygon = Polygon()

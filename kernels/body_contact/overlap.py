@@ -18,6 +18,7 @@ from warpcontact.kernels.body_contact.columns import (
     face_frame,
     is_apart,
     is_exit,
+    pose_in_face,
     position_on_face,
     ramp_height,
     whole_face,
@@ -194,9 +195,7 @@ def overlap_of_face(
                     corners, pending, bottom, geometries, frame, other, pose, polygon, True, deepest
                 )
         return result
-    to_face = RelativePose()
-    to_face.rotation = frame.projection
-    to_face.origin = frame.shift
+    to_face = pose_in_face(frame)
     box = columns_box(frame, other, INFINITE)
     top = start_traversal(pending, bottom, other)
     while top > bottom:

@@ -130,3 +130,8 @@ def body_contact(first, second, size):
         torque += np.cross(points, forces).sum(axis=0)
         scale += np.linalg.norm(forces, axis=1).sum()
     return Reference(force, torque, float(depth), float(share), float(scale))
+
+
+def triangles_of(mesh):
+    """Returns the triangles (T, 3, 3) of a mesh."""
+    return np.asarray(mesh.vertices)[np.asarray(mesh.faces)]

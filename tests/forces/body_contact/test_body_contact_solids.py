@@ -153,16 +153,6 @@ def test_moreau_jean_needs_compliant_body_contact():
         wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean())
 
 
-def test_meshes_with_too_many_faces_are_refused():
-    scene = wc.Scene()
-    body = scene.add_body(mass=1.0, inertia=(1, 1, 1))
-    ball = scene.add_surface(wc.meshes.icosphere(0.1, 4), body=body, name="ball")
-    other = scene.add_surface(wc.meshes.icosphere(0.1, 4), name="other")
-    scene.add_body_contact(ball, other, MATERIAL, name="press")
-    with pytest.raises(ValueError, match=r"press: body contact compares all faces.*'ball' has 5,120"):
-        scene.build(envs=1, device="cpu")
-
-
 def test_lists_count_each_pair_once():
     scene, (box, floor) = scene_with("box", "floor")
     other = scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(0, 0, 1))
