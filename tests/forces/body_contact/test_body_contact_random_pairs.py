@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 import trimesh
+from column_reference import body_contact, triangles_of
 from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
-
-from column_reference import body_contact, triangles_of
 
 MATERIAL = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1.0))
 SHAPES = {
