@@ -6,6 +6,7 @@ import warp as wp
 from warpcontact.kernels.body_contact import face_columns
 from warpcontact.kernels.body_contact import solids as solid_functions
 from warpcontact.kernels.body_contact.column_sums import ColumnSums, RelativeMotion, column_functions, pair_of
+from warpcontact.kernels.body_contact.columns import ramp_height
 from warpcontact.kernels.body_contact.convex_columns import store_planes
 from warpcontact.kernels.body_contact.face_columns import column_side, other_box
 from warpcontact.kernels.body_contact.face_trees import PENDING_NODES, next_leaf_in_box, start_traversal
@@ -17,6 +18,7 @@ from warpcontact.kernels.body_contact.overlap import (
     overlap_of,
 )
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT, PATCH_SUMS, start_patches
+from warpcontact.kernels.body_contact.patches import functions as patch_functions
 from warpcontact.kernels.body_contact.polygons import CORNER_ROWS
 from warpcontact.kernels.body_contact.records import (
     BodyContactSettings,
@@ -32,7 +34,7 @@ from warpcontact.kernels.body_contact.solids import (
     Solids,
     no_motion,
 )
-from warpcontact.kernels.body_contact.surface_queries import is_face_outside, solid_geometry
+from warpcontact.kernels.body_contact.surface_queries import are_apart, is_face_outside, solid_geometry
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
@@ -71,7 +73,9 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
     columns = column_functions(contact_model, real, per_area, has_joints)
     relative_motion, store_result = columns.relative_motion, columns.store_result
     add_face = face_columns.add_face(contact_model, real, per_area, has_joints)
-    pair_pose = solid_functions.functions(real).pair_pose
+    of_solids = solid_functions.functions(real)
+    pair_pose, are_spheres_apart = of_solids.pair_pose, of_solids.are_spheres_apart
+    clear_history = patch_functions(contact_model.friction, real).clear_history
 
     @unique_kernel()
     def body_contact_forces(
@@ -107,28 +111,35 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
             setting = settings[env, number]
             solid_1 = pairs.first[number]
             solid_2 = pairs.second[number]
+            contact_status = wp.int32(OPEN)
+            if setting.enabled == 0:
+                contact_status = DISABLED
+            is_near = contact_status == OPEN
+            if is_near:
+                is_near = not are_spheres_apart(state, env, geometries, solids, solid_1, solid_2)
+            if not is_near and body_contacts.status[env, number] == contact_status:
+                # Readings and wrenches are zero already.
+                if wp.static(has_patches):
+                    for patch in range(PATCH_COUNT):
+                        clear_history(history_out.friction, env, PATCH_COUNT * number + patch, step[env, 0])
+                continue
             first = solid_geometry(geometries, solids.pose[env, solid_1])
             second = solid_geometry(geometries, solids.pose[env, solid_2])
             pose = pair_pose(state, env, solids, solid_1, solid_2)
             pair = pair_of(pose, solids, solid_1, solid_2, number)
             half_space = (second.flags & HALF_SPACE) != 0
             second_is_reference = (second.flags & (HALF_SPACE | HAS_BOUNDARY)) != 0
-
             overlap = Overlap()
-            contact_status = wp.int32(OPEN)
-            if setting.enabled == 0:
-                contact_status = DISABLED
-            else:
-                between = (
-                    pose.first_in_second.origin + pose.first_in_second.rotation * first.center - second.center
+            if is_near and not half_space:
+                is_near = not are_apart(
+                    first, second, pose.first_in_second, ramp_height(first) + ramp_height(second)
                 )
-                reach = wp.length(first.half_extents) + wp.length(second.half_extents)
-                if half_space or wp.dot(between, between) < reach * reach:
-                    overlap = overlap_of(
-                        corners, planes, least_depths, pending, geometries, first, second, pose.first_in_second
-                    )
-                    if setting.reference >= double(0.0) and not second_is_reference:
-                        overlap.share = setting.reference
+            if is_near:
+                overlap = overlap_of(
+                    corners, planes, least_depths, pending, geometries, first, second, pose.first_in_second
+                )
+                if setting.reference >= double(0.0) and not second_is_reference:
+                    overlap.share = setting.reference
                 if overlap.depth > double(0.0):
                     contact_status = CONTACT
                     if overlap.depth > setting.max_depth:

@@ -7,6 +7,7 @@ from warpcontact.kernels.body_contact.solids import (
     SolidPose,
     corner_count,
     face_vertex,
+    inverse_pose,
     scaled,
 )
 
@@ -86,6 +87,25 @@ def are_boxes_apart(first: BoundingBox, second: BoundingBox):
     """Returns whether two boxes of one frame have no common point."""
     gap = wp.max(first.lower - second.upper, second.lower - first.upper)
     return wp.max(gap) > double(0.0)
+
+
+@wp.func
+def are_apart(first: SolidGeometry, second: SolidGeometry, first_in_second: RelativePose, margin: double):
+    """Returns whether an axis of one of their bounding boxes separates two solids by more than ``margin`` [m]."""
+    for side in range(2):
+        own = second
+        other = first
+        pose = first_in_second
+        if side == 1:
+            own = first
+            other = second
+            pose = inverse_pose(first_in_second)
+        box = BoundingBox()
+        box.lower = own.center - own.half_extents
+        box.upper = own.center + own.half_extents
+        if are_boxes_apart(box, bounding_box(other, pose, margin)):
+            return True
+    return False
 
 
 @wp.func
