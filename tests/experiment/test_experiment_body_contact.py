@@ -29,12 +29,21 @@ def test_body_contact_of_an_experiment_is_varied_recorded_and_stored(tmp_path, d
     np.testing.assert_allclose(force, [[0, 0, 0.4], [0, 0, 0.8]], rtol=1e-4, atol=1e-5)
 
 
+def test_body_contact_without_second_is_that_of_each_solid_with_each_other_one():
+    entry = {key: value for key, value in STUDY["body_contact"][0].items() if key != "second"}
+    experiment = wc.Experiment.from_dict(STUDY | {"body_contact": [entry | {"first": ["floor", "crate"]}]})
+    (contact,) = experiment.scene().body_contacts
+    assert [(one.name, other.name) for one, other in contact.pairs] == [("box", "floor")]
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"first": "crat"}, r"body_contact\[0\].*first.*'crate'"),
         ({"second": ["floor", "flor"]}, r"body_contact\[0\].*second.1..*'floor'"),
         ({"reference": "third"}, "reference"),
+        ({"exclude": [["box", "flor"]]}, r"body_contact\[0\].*exclude.0..1..*'floor'"),
+        ({"exclude": [["box", "floor"]]}, "exclude leaves no pair"),
         ({"first": "floor", "second": "crate"}, "half-space, which must be second"),
     ],
 )

@@ -138,6 +138,7 @@ def shape_scene():
     sides = [scene.add_shape(crate, wc.shapes.RoundedBox((0.05, 0.04, 0.03)), (0.1 * i, 0, 0)) for i in range(2)]
     foundation = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e7))
     scene.add_body_contact(sides, plane, foundation, kappa=0.4, reference="second", max_depth=0.01, name="press")
+    scene.add_body_contact([*sides, plane], foundation, exclude=[(plane, sides[0])], name="touch")
     motions = (
         wc.motions.Hinge(axis=(0, 1, 0.2), anchor=(0.1, 0.2, 0.3)),
         wc.motions.Ball(anchor=(0, 0, 2.0)),

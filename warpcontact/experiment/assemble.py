@@ -3,6 +3,7 @@
 ``check_build`` builds a model of one environment, to validate what only a build can check.
 """
 
+import itertools
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -299,17 +300,21 @@ class SceneBuilder:
 
         # Resolve all references before failing, so that each is reported.
         sides = []
-        for key in ("first", "second"):
+        for key in ("first",) if entry.second is None else ("first", "second"):
             given = getattr(entry, key)
             names = (
                 [(key, given)] if isinstance(given, str) else [(f"{key}[{i}]", one) for i, one in enumerate(given)]
             )
             sides.append([find(where, name, _SOLID) for where, name in names])
+        pairs = [
+            [find(f"exclude[{i}][{k}]", name, _SOLID) for k, name in enumerate(pair)]
+            for i, pair in enumerate(entry.exclude)
+        ]
         material = find("material", entry.material, _MATERIAL)
-        if any(found is None for found in (*sides[0], *sides[1], material)):
+        if any(found is None for found in (*itertools.chain(*sides, *pairs), material)):
             raise _Unresolved
-        options = entry.model_dump(exclude={"first", "second", "material"})
-        return scene.add_body_contact(sides[0], sides[1], material, **options)
+        options = entry.model_dump(exclude={"first", "second", "material", "exclude"})
+        return scene.add_body_contact(*sides, material, exclude=pairs, **options)
 
     def _force_element(self, scene: Scene, path: str, entry: ForceElementSettings, problems: Problems) -> Any:
         targets = self._find_all(path, entry, entry.references, problems)

@@ -253,8 +253,13 @@ class BodyContactSettings(Section):
 
     name: Name
     first: str | Rows[str] = Field(description="the name of a surface, a shape or a body, or a list of names")
-    second: str | Rows[str] = Field(description="the name of a surface, a shape or a body, or a list of names")
+    second: str | Rows[str] | None = Field(
+        default=None, description="likewise; if left out, each solid of first is in contact with each other one"
+    )
     material: str = Field(description="the name of a material")
+    exclude: Rows[Rows[str]] = Field(
+        default=(), description="pairs of names of surfaces, shapes or bodies that are not in contact"
+    )
     reference: Literal["auto", "first", "second", "average"] = "auto"
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
     max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None

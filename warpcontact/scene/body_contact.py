@@ -32,12 +32,16 @@ _SHAPES: tuple[type, ...] = (RoundedBox, Plane)
 
 @dataclass(frozen=True, eq=False)
 class BodyContact:
-    """Contact of solids over an area: all pairs of a first and a second solid on different bodies."""
+    """Contact of solids over an area: all pairs of a first and a second solid on different bodies.
+
+    Of a list of solids in contact with each other, ``first`` and ``second`` are the same.
+    """
 
     name: str
     first: tuple[Solid, ...]
     second: tuple[Solid, ...]
     material: ContactMaterial
+    exclude: tuple[tuple[Solid, Solid], ...]
     reference: str
     kappa: Array
     max_depth: Array
@@ -48,12 +52,17 @@ class BodyContact:
 
     @cached_property
     def pairs(self) -> tuple[tuple[Solid, Solid], ...]:
-        """Its pairs: each first solid with each second one on another body."""
-        found: dict[frozenset[str], tuple[Solid, Solid]] = {}
+        """Its pairs: each first solid with each second one on another body, unless they are excluded.
+
+        A half-space or open surface is the second of a pair.
+        """
+        excluded = {frozenset(pair) for pair in self.exclude}
+        found: dict[frozenset[Solid], tuple[Solid, Solid]] = {}
         for one, other in itertools.product(self.first, self.second):
-            if one.body is not other.body:
+            key = frozenset((one, other))
+            if one.body is not other.body and key not in excluded:
                 # Each pair once, although lists may have common elements.
-                found.setdefault(frozenset((one.name, other.name)), (one, other))
+                found.setdefault(key, (other, one) if _must_be_second(one) else (one, other))
         return tuple(found.values())
 
     @property
@@ -108,9 +117,10 @@ class BodyContacts:
     def add_body_contact(
         self,
         first: Body | Solid | Sequence[Body | Solid],
-        second: Body | Solid | Sequence[Body | Solid],
-        material: ContactMaterial,
+        second: Body | Solid | Sequence[Body | Solid] | ContactMaterial,
+        material: ContactMaterial | None = None,
         *,
+        exclude: Sequence[tuple[Body | Solid, Body | Solid]] = (),
         reference: str = "auto",
         kappa: float = 0.5,
         max_depth: float | None = None,
@@ -132,8 +142,10 @@ class BodyContacts:
             first: A surface, a shape, a body (all of its surfaces and shapes), or a list of them. Sensors give the force
                 on it.
             second: Likewise. Each first solid is paired with each second one on another body. With several pairs, sensors
-                have an additional axis, ``item``.
+                have an additional axis, ``item``. If left out, as in ``add_body_contact(bodies, material)``, each solid of the
+                list is paired with each other one; a half-space or open surface is the second of its pairs.
             material: Contact material, without rolling and torsional friction.
+            exclude: Pairs of surfaces, shapes or bodies that are not in contact, for example the two bodies of a joint.
             reference: Solid on whose faces the columns stand. ``"auto"``: the flatter one, with a continuous transition;
                 ``"first"``, ``"second"``, or ``"average"`` of both. A half-space or open surface is always the reference.
             kappa: The force of a column acts at κ times its length from the second solid.
@@ -149,11 +161,15 @@ class BodyContacts:
             ValueError: If a value is out of range, a solid is not supported, or there is no pair on different bodies.
         """
         name = checks.new_name("body_contact", name, self._elements)
+        if material is None and isinstance(second, ContactMaterial):
+            material = second
+            second = first
         _check_material(name, material)
         firsts = self._solids(f"{name}.first", first)
         seconds = self._solids(f"{name}.second", second)
-        for solid in firsts:
-            _check_first(name, solid)
+        if set(firsts) != set(seconds):
+            for solid in firsts:
+                _check_first(name, solid)
         options = options_of(name, kappa, max_depth, None, force_scale, enabled, color, visible)
         del options["torsion_radius"]
         contact = BodyContact(
@@ -161,15 +177,42 @@ class BodyContacts:
             first=tuple(firsts),
             second=tuple(seconds),
             material=material,
+            exclude=self._excluded(name, exclude, {*firsts, *seconds}),
             reference=checks.choice(f"{name}.reference", reference, tuple(REFERENCES)),
             **options,
         )
         if not contact.pairs:
             where = f"body {firsts[0].body.name!r}" if firsts[0].body else "the world"
-            raise ValueError(f"{name}: all solids are fixed to {where}; one must move")
+            reason = f"all solids are fixed to {where}; one must move"
+            if contact.exclude:
+                reason = "exclude leaves no pair of solids on different bodies"
+            raise ValueError(f"{name}: {reason}")
+        for one, other in contact.pairs:
+            if _must_be_second(one):
+                raise ValueError(
+                    f"{name}: {one.name!r} and {other.name!r} are both half-spaces or open surfaces, which have no body "
+                    "contact with each other; exclude leaves out a pair"
+                )
         self.body_contacts.append(contact)
         self._elements[name] = contact
         return contact
+
+    def _excluded(self, name: str, pairs: Any, solids: set[Solid]) -> tuple[tuple[Solid, Solid], ...]:
+        """Returns the pairs of solids of the argument ``exclude``."""
+        found: list[tuple[Solid, Solid]] = []
+        if not isinstance(pairs, list | tuple):
+            raise TypeError(f"{name}.exclude must be a list of pairs of surfaces, shapes or bodies, got {pairs!r}")
+        for i, pair in enumerate(pairs):
+            label = f"{name}.exclude[{i}]"
+            if not isinstance(pair, list | tuple) or len(pair) != 2:
+                raise TypeError(f"{label} must be a pair of surfaces, shapes or bodies, got {pair!r}")
+            sides = [self._solids(label, side) for side in pair]
+            for side in sides:
+                for solid in side:
+                    if solid not in solids:
+                        raise ValueError(f"{label}: {solid.name!r} is not among the solids of {name!r}")
+            found += itertools.product(*sides)
+        return tuple(dict.fromkeys(found))
 
     def _solids(self, label: str, given: Any) -> list[Solid]:
         """Returns the solids of an argument."""
@@ -222,6 +265,13 @@ def _check_solid(label: str, solid: Solid) -> None:
             f"{label}: box {solid.name!r} has rounded edges, of radius {solid.sizes['radius'].max():g} m; body contact "
             "needs a radius of 0"
         )
+
+
+def _must_be_second(solid: Solid) -> bool:
+    """Returns whether a solid is a half-space or open."""
+    if isinstance(solid, Shape):
+        return solid.kind is Plane
+    return not all(mesh.report.closed for mesh in solid.meshes)
 
 
 def _check_first(name: str, solid: Solid) -> None:

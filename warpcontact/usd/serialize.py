@@ -276,7 +276,10 @@ def _call_arguments(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]
             excluded = np.array(pairs, dtype=np.int32) if pairs else None
             return "particle_contact", {"exclude": excluded, **_max_depth(element)}, ("exclude",)
         case BodyContact():
-            return "body_contact", _max_depth(element), ()
+            solids = list(dict.fromkeys((*element.first, *element.second)))
+            pairs = [[solids.index(one) for one in pair] for pair in element.exclude]
+            excluded = np.array(pairs, dtype=np.int32) if pairs else None
+            return "body_contact", {"exclude": excluded, **_max_depth(element)}, ("exclude",)
     raise TypeError(f"{element.name!r} is a {type(element).__name__} and cannot be serialized")
 
 

@@ -159,3 +159,32 @@ def test_lists_count_each_pair_once():
     second = scene.add_shape(other, wc.shapes.RoundedBox((0.1, 0.1, 0.1)))
     contact = scene.add_body_contact([box, second], [box, second, floor], MATERIAL)
     assert contact.pairs == ((box, second), (box, floor), (second, floor))
+
+
+def test_one_list_pairs_all_its_solids_except_those_excluded():
+    scene = wc.Scene()
+    floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
+    boxes = []
+    for i in range(3):
+        body = scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(0, 0, i), name=f"body_{i}")
+        boxes.append(scene.add_shape(body, wc.shapes.RoundedBox((0.1, 0.1, 0.1)), name=f"box_{i}"))
+    bodies = [box.body for box in boxes]
+    contact = scene.add_body_contact([floor, *bodies], MATERIAL, exclude=[(bodies[0], boxes[2])], name="press")
+    found = [(first.name, second.name) for first, second in contact.pairs]
+    # The half-space is the second of its pairs.
+    assert found == [
+        *((f"box_{i}", "floor") for i in range(3)),
+        ("box_0", "box_1"),
+        ("box_1", "box_2"),
+    ]
+
+
+def test_errors_of_excluded_pairs_name_the_pair():
+    scene, (box, floor) = scene_with("box", "floor")
+    outside = scene.add_shape(None, wc.shapes.Plane(), name="outside")
+    with pytest.raises(ValueError, match=r"exclude\[0\]: 'outside' is not among the solids"):
+        scene.add_body_contact(box, floor, MATERIAL, exclude=[(box, outside)])
+    with pytest.raises(TypeError, match=r"exclude\[0\] must be a pair"):
+        scene.add_body_contact(box, floor, MATERIAL, exclude=[box])
+    with pytest.raises(ValueError, match="exclude leaves no pair"):
+        scene.add_body_contact([box, floor], MATERIAL, exclude=[(box, floor)])

@@ -134,7 +134,8 @@ class _Restoration:
         if kind == "points" and "normals" in given:
             given["positions"] = _samples(given)
         if "exclude" in given:
-            given["exclude"] = _pairs(given["exclude"], given["shapes"])
+            elements = given["shapes"] if kind == "particle_contact" else [*given["first"], *given["second"]]
+            given["exclude"] = _pairs(given["exclude"], list(dict.fromkeys(elements)))
         return getattr(scene, ADDERS[kind])(**given)
 
     def _force_element(self, scene: SceneData, record: Record) -> Any:
