@@ -299,7 +299,7 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
             patch = patch_of(normals, pair.to_axes * normal)
         top = start_traversal(pending, bottom, side.other)
         while top > bottom:
-            # All planes at once, or the leaves of the tree below the face.
+            # All planes in one pass, or the leaves of the tree below the face.
             first_exit = wp.int32(0)
             end_exit = side.other.end_plane - side.other.first_plane
             if side.by_planes:

@@ -34,7 +34,7 @@ _SHAPES: tuple[type, ...] = (RoundedBox, Plane)
 class BodyContact:
     """Contact of solids over an area: all pairs of a first and a second solid on different bodies.
 
-    Of a list of solids in contact with each other, ``first`` and ``second`` are the same.
+    ``first`` and ``second`` are the same for a list of solids in contact with each other.
     """
 
     name: str
