@@ -70,6 +70,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     has_patches = bool(contact_model.friction.memories)
+    second_fraction = contact_model.law.second_fraction
     columns = column_functions(contact_model, real, per_area, has_joints)
     relative_motion, store_result = columns.relative_motion, columns.store_result
     add_face = face_columns.add_face(contact_model, real, per_area, has_joints)
@@ -154,7 +155,10 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 motion = relative_motion(state, env, pair)
                 sides = wp.where(second_is_reference, 1, 2)
             for number_of_side in range(sides):
-                side = column_side(first, second, pose, overlap, setting.kappa, number_of_side)
+                kappa = setting.kappa
+                if wp.static(second_fraction is not None):
+                    kappa = double(second_fraction(coefficients.law[env, number]))
+                side = column_side(first, second, pose, overlap, kappa, number_of_side)
                 if side.share == double(0.0):
                     continue
                 if side.by_planes:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         PowerLaw,
         TwoStiffness,
     )
-    from warpcontact.kernels.laws.elastic_foundation import ContactRange, ElasticFoundation
+    from warpcontact.kernels.laws.elastic_foundation import ContactRange, ElasticFoundation, PressureField
     from warpcontact.kernels.laws.hertz import Hertz, HertzElastic
     from warpcontact.kernels.laws.hunt_crossley import (
         CarvalhoMartins,
@@ -52,6 +52,7 @@ _CATALOGUE = {
     "PereiraCylinder": "elastic",
     "PereiraCylinderExternal": "elastic",
     "ElasticFoundation": "elastic_foundation",
+    "PressureField": "elastic_foundation",
     "ContactRange": "elastic_foundation",
     "HuntCrossley": "hunt_crossley",
     "KelvinVoigt": "linear_dashpot",
@@ -109,6 +110,7 @@ __all__ = [
     "PereiraCylinder",
     "PereiraCylinderExternal",
     "PowerLaw",
+    "PressureField",
     "Rigid",
     "Tsuji",
     "TwoStiffness",

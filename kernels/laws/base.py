@@ -49,6 +49,9 @@ class Law(Formula):
     pull_off: ClassVar[wp.Function | None] = None
     #: Whether the force is a product of linear functions of δ and of δ̇, so that quadrature over an area is exact.
     bilinear: ClassVar[bool] = False
+    #: Device function of the coefficients: fraction of δ in the second body, at which the forces of body contact act; ``None``:
+    #: it is the parameter ``kappa`` of the contact.
+    second_fraction: ClassVar[wp.Function | None] = None
     #: Exponent of the elastic part if it is fixed. Laws with a parameter ``exponent`` do not set it.
     power: ClassVar[float | None] = None
 

@@ -51,6 +51,41 @@ class ElasticFoundation(Law):
         return p.stiffness * p.area * c.delta * (type(c.delta)(1.0) + p.damping * c.delta_dot)
 
 
+class PressureField(Law):
+    """Elastic foundations on both bodies, whose pressures are in balance: p = k₁ h₁ = k₂ h₂ with h₁ + h₂ = δ.
+
+    It has the force of an ``ElasticFoundation`` with k = k₁ k₂/(k₁ + k₂). In body contact, forces act where the
+    pressures balance, at h₂ = δ k₁/(k₁ + k₂) below the surface of the second body. For an elastic layer of thickness h and
+    modulus E on a rigid core k = E/h. A much larger modulus stands for a rigid body.
+    """
+
+    formula = "N = max(0, a δ (1 + χ δ̇) k₁ k₂/(k₁ + k₂))"
+    reference = "pressure field model of Elandt et al., IROS 2019, with linear pressures"
+    provenance = "D"
+    validity = "compliant layers much thinner than the contact is wide"
+    bilinear = True
+
+    modulus: float = parameter("Pa/m", "modulus k₁ of the first body", above=0.0)
+    other_modulus: float = parameter("Pa/m", "modulus k₂ of the second body", above=0.0)
+    area: float | None = parameter("m²", "area a of the point, its own if left out", default=None, above=0.0)
+    damping: float = parameter("s/m", "damping χ", default=0.0, at_least=0.0)
+
+    @classmethod
+    def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+        compliance = 1.0 / values["modulus"] + 1.0 / values["other_modulus"]
+        return values["area"] / compliance, np.asarray(1.0)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        one = type(c.delta)(1.0)
+        stiffness = one / (one / p.modulus + one / p.other_modulus)
+        return stiffness * p.area * c.delta * (one + p.damping * c.delta_dot)
+
+    @wp.func
+    def second_fraction(p: Any):
+        return p.modulus / (p.modulus + p.other_modulus)
+
+
 class ContactRange(Law):
     """Spring and dashpot per area on the surface offset by a range, so that bodies repel before they touch.
 

@@ -85,6 +85,11 @@ def elastic_foundation(p, c):
     return p.stiffness * p.area * c.delta * (1 + p.damping * c.delta_dot)
 
 
+def pressure_field(p, c):
+    stiffness = p.modulus * p.other_modulus / (p.modulus + p.other_modulus)
+    return stiffness * p.area * c.delta * (1 + p.damping * c.delta_dot)
+
+
 def contact_range(p, c):
     ramp = np.minimum(1.0, c.delta / np.maximum(p.ramp, 1e-12))
     return p.area * (p.k1 * c.delta + p.k2 * ramp * c.delta_dot)
@@ -188,6 +193,7 @@ CASES = [
     (laws.PereiraCylinder(modulus=1e7, length=0.1, clearance=5e-3), pereira_cylinder),
     (laws.PereiraCylinderExternal(modulus=1e7, length=0.1, clearance=0.05), pereira_cylinder_external),
     (laws.ElasticFoundation(stiffness=1e8, area=1e-4, damping=1.0), elastic_foundation),
+    (laws.PressureField(modulus=1e8, other_modulus=3e8, area=1e-4, damping=1.0), pressure_field),
     (laws.ContactRange(k1=1e8, k2=3e5, area=1e-4), contact_range),
     (laws.ContactRange(k1=1e8, k2=3e5, area=1e-4, ramp=1e-3), contact_range),
     (laws.HuntCrossley(**BY_RESTITUTION), of_impact_speed(exact_damping_factor)),

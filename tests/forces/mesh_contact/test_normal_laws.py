@@ -203,6 +203,7 @@ def sample_laws():
         laws.PereiraCylinder(modulus=1e7, length=0.1, clearance=1e-2),
         laws.PereiraCylinderExternal(modulus=1e7, length=0.1, clearance=0.05),
         laws.ElasticFoundation(stiffness=1e8, area=1e-4, damping=2.0),
+        laws.PressureField(modulus=1e8, other_modulus=3e8, area=1e-4, damping=2.0),
         laws.ContactRange(k1=1e8, k2=1e5, area=1e-4),
         laws.HertzElastic(modulus=1e6, restitution=0.3),
         laws.HuntCrossley(stiffness=1e5, restitution=0.3),
