@@ -306,7 +306,7 @@ class SceneBuilder:
                 [(key, given)] if isinstance(given, str) else [(f"{key}[{i}]", one) for i, one in enumerate(given)]
             )
             sides.append([find(where, name, _SOLID) for where, name in names])
-        pairs = [
+        pairs: list[Any] = [
             [find(f"exclude[{i}][{k}]", name, _SOLID) for k, name in enumerate(pair)]
             for i, pair in enumerate(entry.exclude)
         ]
@@ -314,7 +314,7 @@ class SceneBuilder:
         if any(found is None for found in (*itertools.chain(*sides, *pairs), material)):
             raise _Unresolved
         options = entry.model_dump(exclude={"first", "second", "material", "exclude"})
-        return scene.add_body_contact(*sides, material, exclude=pairs, **options)
+        return scene.add_body_contact(sides[0], sides[-1], material, exclude=pairs, **options)
 
     def _force_element(self, scene: Scene, path: str, entry: ForceElementSettings, problems: Problems) -> Any:
         targets = self._find_all(path, entry, entry.references, problems)

@@ -164,7 +164,7 @@ class BodyContacts:
         if material is None and isinstance(second, ContactMaterial):
             material = second
             second = first
-        _check_material(name, material)
+        material = _checked_material(name, material)
         firsts = self._solids(f"{name}.first", first)
         seconds = self._solids(f"{name}.second", second)
         if set(firsts) != set(seconds):
@@ -206,12 +206,11 @@ class BodyContacts:
             label = f"{name}.exclude[{i}]"
             if not isinstance(pair, list | tuple) or len(pair) != 2:
                 raise TypeError(f"{label} must be a pair of surfaces, shapes or bodies, got {pair!r}")
-            sides = [self._solids(label, side) for side in pair]
-            for side in sides:
-                for solid in side:
-                    if solid not in solids:
-                        raise ValueError(f"{label}: {solid.name!r} is not among the solids of {name!r}")
-            found += itertools.product(*sides)
+            one, other = (self._solids(label, side) for side in pair)
+            for solid in (*one, *other):
+                if solid not in solids:
+                    raise ValueError(f"{label}: {solid.name!r} is not among the solids of {name!r}")
+            found += itertools.product(one, other)
         return tuple(dict.fromkeys(found))
 
     def _solids(self, label: str, given: Any) -> list[Solid]:
@@ -284,8 +283,8 @@ def _check_first(name: str, solid: Solid) -> None:
         )
 
 
-def _check_material(name: str, material: Any) -> None:
-    """Checks the material of a body contact.
+def _checked_material(name: str, material: Any) -> ContactMaterial:
+    """Returns the material of a body contact.
 
     Raises:
         TypeError: If it is not a contact material.
@@ -336,6 +335,7 @@ def _check_material(name: str, material: Any) -> None:
             f"{name}: the friction of its material, {type(friction).__name__}, is per area, but its law "
             f"{type(law).__name__} is not"
         )
+    return material
 
 
 def reference_share(contact: BodyContact) -> Array:

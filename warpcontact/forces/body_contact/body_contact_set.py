@@ -8,6 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.body_contact.solid_tables import SolidTables
+from warpcontact.forces.body_contact.step_warnings import body_contact_warnings
 from warpcontact.forces.contact_groups import add_material_parameters, compile_force_kernel
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget
 from warpcontact.forces.sensor import Sensor, shape_in
@@ -28,6 +29,8 @@ from warpcontact.validation import checks
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.environments import Environments
     from warpcontact.storage.allocation_plan import AllocationPlan
 
 # Bytes of a pair in the cache of a core: two solids and the results.
@@ -210,6 +213,10 @@ class BodyContactSet(ForceElement):
             wp.launch(force.reset_patches(), dim=dim, inputs=[chosen, self.patches], device=device)
             kernel = reset.memory(self.parts.friction, self.real)
             wp.launch(kernel, dim=dim, inputs=[chosen, self.memory.friction], device=device)
+
+    def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+        """Returns the warnings about the time step."""
+        return [sentence for contact in self.items for sentence in body_contact_warnings(model, contact, self, dt)]
 
     def sensors(self) -> Iterator[Sensor]:
         """Yields the sensors of the body contacts."""

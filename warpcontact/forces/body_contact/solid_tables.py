@@ -22,8 +22,10 @@ from warpcontact.kernels.types import WORLD
 from warpcontact.scene.body_contact import Solid
 from warpcontact.scene.elements import Surface
 from warpcontact.storage.parameters import Parameter, Parameters, pack
+from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
+    from warpcontact.model.environments import Environments
     from warpcontact.storage.allocation_plan import AllocationPlan
 
 _PURPOSE = "body contacts"
@@ -97,6 +99,26 @@ class SolidTables:
     def number(self, solid: Solid) -> int:
         """Returns the index of a solid."""
         return self._numbers[solid]
+
+    def half_extents(self, model: "Environments", solid: Solid) -> Array:
+        """Returns half of the size of the bounding box of a solid along its own axes, (envs, 3) [m]; infinite if it has none."""
+        first = self._first[self._numbers[solid]]
+        count = len(solid.meshes) if isinstance(solid, Surface) else 1
+        own = []
+        for polyhedron in self._polyhedra[first : first + count]:
+            if polyhedron is None:
+                own.append(np.full(3, np.inf))
+            else:
+                lower, upper = polyhedron.bounds
+                own.append(0.5 * (upper - lower))
+        number = np.zeros(model.envs, dtype=int)
+        if count > 1:
+            number = np.asarray(model[f"{solid.name}.mesh"], dtype=int)
+        size = "scale" if isinstance(solid, Surface) else "half_extents"
+        scale: Array = np.ones((1, 1))
+        if f"{solid.name}.{size}" in model:
+            scale = np.asarray(model[f"{solid.name}.{size}"]).reshape(model.envs, -1)
+        return np.asarray(np.array(own)[number] * scale)
 
     def _add_geometries(self, solid: Solid) -> int:
         """Adds the geometries of a solid, unless they are there; returns the number of the first."""

@@ -7,7 +7,8 @@ import numpy as np
 
 from warpcontact.algebra.vectors import norm
 from warpcontact.forces.contact_warnings import TYPICAL_SPEED
-from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, steepest_slopes
+from warpcontact.forces.friction_slopes import steepest_slopes
+from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, coefficients_of
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.scene.contact_coupling import ExpectedImpact
@@ -206,7 +207,10 @@ def _friction_warnings(
     part = contact.points.areas / contact.points.areas.sum()
     load = force[:, None] * part
     dashpot, spring = (
-        values.sum(axis=1) for values in steepest_slopes(model, contact, "friction", load, 0.0 * load)
+        values.sum(axis=1)
+        for values in steepest_slopes(
+            model, contact.material.parts.friction, coefficients_of(contact, "friction"), load, 0.0 * load
+        )
     )
     with np.errstate(divide="ignore"):
         limit = np.minimum(2.0 * mass / dashpot, 2.0 * np.sqrt(mass / np.maximum(spring, 0.0)))

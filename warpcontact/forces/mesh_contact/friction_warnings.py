@@ -1,16 +1,16 @@
-"""Warnings about time steps that are too long for a friction model, from the Jacobian of its force.
+"""Warnings about time steps that are too long for a friction model of points on meshes."""
 
-With dashpot slope c and spring slope k, explicit integration is stable for dt ≤ min(2 m/c, 2 √(m/k)).
-"""
-
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import warp as wp
 
-from warpcontact.kernels.catalogue.device_model import Formula
-from warpcontact.kernels.friction import Frictionless, friction_jacobian
+from warpcontact.forces.friction_slopes import (
+    Coefficients,
+    run_formula_kernel,
+    steepest_slopes,
+    unstable_friction_warning,
+)
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.laws import pull_off
 from warpcontact.scene.mobility import MIN_MOBILITY, mobility_of
 from warpcontact.validation.checks import Array
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from warpcontact.model.environments import Environments
     from warpcontact.model.model import DeviceModel
     from warpcontact.scene.elements import Contact
-
-KernelFactory = Callable[[type[Formula], type], wp.Kernel]
 
 # Maximum number of environments that are checked, to limit the time of the checks.
 MAX_CHECKED_ENVS = 4096
@@ -56,91 +54,30 @@ def friction_warnings(model: "Environments", contact: "Contact", dt: float) -> l
     under = "its weight"
     if contact.material.law.pulls:
         mass = np.broadcast_to(1.0 / mobility["load"], load.shape)
-        (tension,) = _run_kernel(model, contact, "law", pull_off.kernel, (mass, radius), outputs=1)
+        law = contact.material.parts.law
+        (tension,) = run_formula_kernel(
+            model, law, coefficients_of(contact, "law"), pull_off.kernel, (mass, radius), outputs=1
+        )
         load, under = load + tension, "its weight and pull-off force"
     # The radius of the contact patch depends on the law; assume a typical penetration of R/1000: √(R δ).
     patch = np.sqrt(1.0e-3) * radius
     sentences = []
     for part, kind in parts.items():
-        dashpot, spring = steepest_slopes(model, contact, part, load, patch)
-        with np.errstate(divide="ignore", over="ignore"):
+        slopes = steepest_slopes(model, kind, coefficients_of(contact, part), load, patch)
+        with np.errstate(over="ignore"):
             mass = 1.0 / mobility[part]
-            limit = np.minimum(2.0 * mass / dashpot, 2.0 * np.sqrt(mass / np.maximum(spring, 0.0)))
-        shortest = limit.min(axis=1)
-        worst = int(np.argmin(shortest))
-        if dt > shortest[worst]:
-            sentences.append(
-                f"{contact.name}: dt = {dt:g} s is too long for its {part}, {kind.__name__}: it is unstable in "
-                f"steps of more than {shortest[worst]:.2g} s in environment {model.first_env + worst} under "
-                f"{under}. Reduce dt"
-            )
+        sentences += unstable_friction_warning(model, contact.name, part, kind, slopes, mass, dt, under)
     return sentences
 
 
-def steepest_slopes(
-    model: "Environments", contact: "Contact", part: str, load: Array, patch: Array
-) -> tuple[Array, Array]:
-    """Returns the maximum dashpot slope [N·s/m] and the spring slope [N/m] of a friction model, (env, item).
+def coefficients_of(contact: "Contact", part: str) -> Coefficients:
+    """Returns a function that finds the coefficients of a part of a contact on one device."""
 
-    Args:
-        model: The model.
-        contact: One of its contacts.
-        part: Name of the part: ``"friction"``, ``"rolling"`` or ``"torsion"``.
-        load: Normal force in the first environments, (env, item) [N].
-        patch: Radius of the contact patch of a sphere in the first environments, (env, item) [m].
-    """
-    dashpot, spring = _run_kernel(model, contact, part, friction_jacobian.kernel, (load, patch), outputs=2)
-    return dashpot, spring
+    def find(model: "DeviceModel") -> Any:
+        group, first = model.group_of(contact)
+        return getattr(group.coefficients, part)[:, first : first + contact.count]
 
-
-def _run_kernel(
-    model: "Environments",
-    contact: "Contact",
-    part: str,
-    kernel: KernelFactory,
-    inputs: Sequence[Array],
-    outputs: int,
-) -> list[Array]:
-    """Returns the outputs of a kernel for a part of a contact in the first environments, each (env, item).
-
-    Args:
-        model: The model.
-        contact: One of its contacts.
-        part: Name of the part.
-        kernel: Returns the kernel for a formula and precision.
-        inputs: Its arguments after the coefficients, for the first environments, (env, item).
-        outputs: Number of output arrays.
-    """
-    measured = [
-        _run_kernel_on(one, contact, part, kernel, [values[own] for values in inputs], outputs)
-        for one, own in model.shares()
-        if own.start < len(inputs[0])
-    ]
-    return [np.concatenate(values) for values in zip(*measured, strict=True)]
-
-
-def _run_kernel_on(
-    model: "DeviceModel",
-    contact: "Contact",
-    part: str,
-    kernel: KernelFactory,
-    inputs: Sequence[Array],
-    outputs: int,
-) -> list[Array]:
-    """Returns the outputs of ``_run_kernel`` for the first environments of one device."""
-    real, device, shape = model.types.real, model.device, inputs[0].shape
-    group, first = model.group_of(contact)
-    coefficients = getattr(group.coefficients, part)[: shape[0], first : first + contact.count]
-    arrays = [wp.array(np.ascontiguousarray(values), dtype=real, device=device) for values in inputs]
-    results = [wp.zeros(shape, dtype=real, device=device) for _ in range(outputs)]
-    wp.launch(
-        kernel(getattr(group.contact_model, part), real),
-        dim=shape,
-        inputs=[coefficients, *arrays],
-        outputs=results,
-        device=device,
-    )
-    return [result.numpy().astype(np.float64) for result in results]
+    return find
 
 
 def _mobilities(model: "Environments", contact: "Contact") -> dict[str, Array]:
