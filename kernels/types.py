@@ -55,6 +55,7 @@ BOUNDARY_OUTER = 2  # boundary="outer"
 HERTZ_TORSION = 4  # the torsion arm follows from the overlap
 SWEPT = 8  # crossings of the surface within a step are detected
 FORCE_AT_POINT = 16  # the force acts at the point itself, as in a contact coupling
+IGNORES_BOUNDARY = 32  # minima="all": places outside a boundary have no force, but other minima next to them do
 
 # Status of a spring-damper or bushing.
 COUPLING_ACTIVE = 0

@@ -121,7 +121,11 @@ class Functions(NamedTuple):
 
 @functools.cache
 def functions(
-    contact_model: ContactModel, real: type, has_joints: bool = False, has_friction: bool = True
+    contact_model: ContactModel,
+    real: type,
+    has_joints: bool = False,
+    has_friction: bool = True,
+    histories: int = 1,
 ) -> Functions:
     """Returns the device functions for the classes of ``contact_model``.
 
@@ -130,6 +134,8 @@ def functions(
         real: Precision.
         has_joints: Whether the mobility of bodies with joints is that of their joint.
         has_friction: Whether friction is computed; otherwise it is zero.
+        histories: Number of histories per contact. ``member`` is the index of a history, and member // histories that
+            of the coefficients.
     """
     t = structs(real)
     vec3, quat, Model, State, NormalState, TangentialState = (
@@ -257,6 +263,9 @@ def functions(
         q_WS: quat,
     ):
         result = ContactForce()
+        item = member
+        if wp.static(histories > 1):
+            item = member // wp.static(histories)
         n_W = kinematics.normal
         # Velocity of the second body relative to the first: positive in approach.
         v_W = velocity_at(state, env, kinematics.body_2, kinematics.arm_2) - velocity_at(
@@ -284,7 +293,7 @@ def functions(
         max_elapsed = real(math.inf)
         if is_new and approach > real(0.0):
             max_elapsed = normal_state.delta / approach
-        p = coefficients.law[env, member]
+        p = coefficients.law[env, item]
         normal_force = force_of_law(
             p, normal_state, is_new, history_in.law, history_out.law, env, member, max_elapsed, dt, q_WS, n_W
         )
@@ -316,7 +325,7 @@ def functions(
                 history_out.friction,
                 env,
                 member,
-                coefficients.friction[env, member],
+                coefficients.friction[env, item],
                 tangential_state,
                 max_elapsed,
                 dt,
@@ -335,7 +344,7 @@ def functions(
                     history_out.rolling,
                     env,
                     member,
-                    coefficients.rolling[env, member],
+                    coefficients.rolling[env, item],
                     tangential_state,
                     max_elapsed,
                     dt,
@@ -353,7 +362,7 @@ def functions(
                     history_out.torsion,
                     env,
                     member,
-                    coefficients.torsion[env, member],
+                    coefficients.torsion[env, item],
                     tangential_state,
                     max_elapsed,
                     dt,

@@ -37,14 +37,19 @@ class Functions(NamedTuple):
 
 
 @functools.cache
-def functions(contact_model: ContactModel, real: type, has_joints: bool, projected: bool) -> Functions:
-    """Returns the device functions of a closed contact; for the arguments see ``kernel``."""
+def functions(
+    contact_model: ContactModel, real: type, has_joints: bool, projected: bool, histories: int = 1
+) -> Functions:
+    """Returns the device functions of a closed contact; for the arguments see ``kernel``.
+
+    ``histories``: see ``contact_evaluation.functions``.
+    """
     t = structs(real)
     vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
     Contacts, Wrenches = t.Contacts, t.Wrenches
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
-    evaluation = contact_evaluation.functions(contact_model, real, has_joints)
+    evaluation = contact_evaluation.functions(contact_model, real, has_joints, histories=histories)
     evaluate_contact, clear_history = evaluation.evaluate_contact, evaluation.clear_history
     has_torsion, needs_curvature = contact_model.has_torsion, contact_model.law.needs_curvature
     facing_fraction = frames.functions(real).facing_fraction

@@ -172,6 +172,9 @@ class ContactOptions(Section):
     search: Annotated[str, q.one_of(("whole", "active"))] = "whole"
     entry: Annotated[str, q.one_of(("literal", "latched"))] = "literal"
     swept: bool = False
+    minima: Annotated[str, q.one_of(limits_of.MINIMA)] = "nearest"
+    group_angle: Annotated[Any, q.numbers((2,), allowed=limits_of.GROUP_ANGLE)] = limits_of.DEFAULT_GROUP_ANGLE
+    max_minima: int = Field(default=4, ge=1, le=limits_of.MOST_MINIMA)
     max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
     boundary: Annotated[str, q.one_of(("off", "outer"))] = "off"
     search_radius: Annotated[float | None, q.numbers((), allowed=limits_of.SEARCH_RADIUS)] = None

@@ -9,10 +9,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
+from warpcontact.forces.contact_minima import GroupMinima, declare_minima
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
 from warpcontact.kernels.catalogue.history_variables import memory_struct
-from warpcontact.kernels.contact import contact_force
+from warpcontact.kernels.contact import contact_force, minima_force
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.types import structs
@@ -41,6 +42,8 @@ class ContactGroup:
         coefficients: Struct of arrays [env, contact of the group], one per part.
         history_in: Struct of such arrays: history variables of the last accepted step.
         history_out: Struct of such arrays: history variables of the current step, stored if it is accepted.
+        minima: Minima of the contacts, each with its history: ``minima.places`` items per contact in ``history_in`` and
+            ``history_out``. ``None``: forces act at the closest point only.
     """
 
     contact_model: ContactModel
@@ -56,10 +59,23 @@ class ContactGroup:
     coefficients: Any
     history_in: Any
     history_out: Any
+    minima: GroupMinima | None = None
+
+    @property
+    def code(self) -> tuple[ContactModel, bool, int]:
+        """Key of the force kernel, see ``Contact.code``."""
+        return self.contact_model, self.projected, 0 if self.minima is None else self.minima.room
+
+    @property
+    def history_count(self) -> int:
+        """Number of histories of law and friction models per environment."""
+        return self.count * (1 if self.minima is None else self.minima.places)
 
     @property
     def kernel(self) -> wp.Kernel:
         """The force kernel; created on demand, because fused kernels may replace it."""
+        if self.minima is not None:
+            return minima_force.kernel(self.contact_model, self.real, self.minima.room, self.has_joints)
         return contact_force.kernel(self.contact_model, self.real, self.has_joints, self.projected)
 
     def compile(self, device: wp.Device) -> None:
@@ -71,7 +87,7 @@ class ContactGroup:
         compile_force_kernel(self.contact_model, lambda: self.kernel, device, self.real)
 
     def history_of(self, part: str, name: str) -> wp.array:
-        """Returns history variable ``name`` of ``part``, a view (envs, contact of the group)."""
+        """Returns history variable ``name`` of ``part``, a view (envs, history of the group)."""
         return history_view(getattr(self.history_in, part), name)
 
     @property
@@ -94,7 +110,7 @@ class ContactGroup:
 
 def group_by_model(contacts: Sequence[Contact]) -> list[list[Contact]]:
     """Groups contacts by contact model, in order of first appearance."""
-    groups: dict[tuple[ContactModel, bool], list[Contact]] = {}
+    groups: dict[tuple[ContactModel, bool, int], list[Contact]] = {}
     for contact in contacts:
         groups.setdefault(contact.code, []).append(contact)
     return list(groups.values())
@@ -114,15 +130,17 @@ def make_group(
 
     ``has_joints``: whether any body of the scene is not free.
     """
-    parts, projected = contacts[0].code
+    parts, projected, room = contacts[0].code
     Coefficients, Memory = group_structs(parts, real)
     coefficients, history_in, history_out = Coefficients(), Memory(), Memory()
     count = sum(contact.count for contact in contacts)
+    minima = declare_minima(contacts, room, layout, parameters, real) if room else None
+    histories = count if minima is None else count * minima.places
     for part, formula in parts._asdict().items():
         _add_formula(contacts, part, formula, coefficients, couplings, parameters, real)
         for target in (history_in, history_out):
             # A dummy array if the formula has no history variables.
-            shape = per_env(count) if formula.memories else fixed(1, 1)
+            shape = per_env(histories) if formula.memories else fixed(1, 1)
             transient = target is history_out or not formula.memories
             layout.array("contacts", target, part, memory_struct(formula, real), shape, transient=transient)
     # Joints affect only the effective mass.
@@ -139,6 +157,7 @@ def make_group(
         coefficients,
         history_in,
         history_out,
+        minima,
     )
 
 

@@ -150,7 +150,9 @@ def _declare_indices(
     add_constant("contact_query_mesh", [first_mesh_of[contact] for contact in contacts])
     options = [
         types.LATCHED * (contact.entry == "latched")
-        + types.BOUNDARY_OUTER * (contact.boundary == "outer")
+        # With all minima, other walls act also next to a boundary that does not.
+        + types.BOUNDARY_OUTER * (contact.boundary == "outer" or contact.minima == "all")
+        + types.IGNORES_BOUNDARY * (contact.boundary == "off" and contact.minima == "all")
         + types.HERTZ_TORSION * (contact.torsion_radius is None)
         + types.SWEPT * contact.swept
         + types.FORCE_AT_POINT * (contact.facing is not None)

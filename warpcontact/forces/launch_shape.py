@@ -171,6 +171,10 @@ def _tracks_faces(plan: "ExecutionPlan") -> str:
     return "a contact is latched or swept" if plan.model.tracks_faces else ""
 
 
+def _all_minima(plan: "ExecutionPlan") -> str:
+    return "" if all(group.minima is None for group in plan.model.groups) else 'a contact has minima="all"'
+
+
 def _contacts_are_read(plan: "ExecutionPlan") -> str:
     reading = next((element.family for element in plan.model.force_elements if element.reads_contacts), "")
     return f"the model has force elements of the family {reading!r}, which read the contacts" if reading else ""
@@ -227,7 +231,15 @@ def _fused_contact_kernel(plan: "ExecutionPlan") -> str:
     return _no_face_grid(plan) or _several_contact_models(plan)
 
 
-_FUSION_OBSTACLES = (_fusion_is_off, _no_cache, _outputs_are_read, _nonsmooth, _detected_before, _tracks_faces)
+_FUSION_OBSTACLES = (
+    _fusion_is_off,
+    _no_cache,
+    _outputs_are_read,
+    _nonsmooth,
+    _detected_before,
+    _tracks_faces,
+    _all_minima,
+)
 _STEP_FUSION_OBSTACLES = (_other_integrator, _several_bodies, _joints, _other_forces)
 
 #: The launch shapes, the fastest first. Device functions that compose stages are in ``kernels/launch_shapes``.

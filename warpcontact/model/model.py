@@ -335,7 +335,7 @@ class DeviceModel(Environments, ModelTraits):
     def group_of(self, contact: Contact) -> tuple[ContactGroup, int]:
         """Returns the contact group of ``contact``, and the index of its first item in the group."""
         own = [other for other in self.scene.contacts if other.code == contact.code]
-        group = next(group for group in self.groups if (group.contact_model, group.projected) == contact.code)
+        group = next(group for group in self.groups if group.code == contact.code)
         return group, sum(other.count for other in own[: own.index(contact)])
 
     @shared_capture_lock()

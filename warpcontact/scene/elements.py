@@ -36,6 +36,15 @@ TORSION_RADIUS = limits("m", at_least=0.0)
 FORCE_SCALE = limits("-", at_least=0.0)
 SCALE = limits("-", above=0.0)
 ENABLED = limits("-", at_least=0.0, at_most=1.0)
+GROUP_ANGLE = limits("rad", at_least=0.0, at_most=math.pi)
+#: Default of ``group_angle``: 10° and 40° [rad].
+DEFAULT_GROUP_ANGLE = (math.radians(10.0), math.radians(40.0))
+#: Smallest difference of the two angles of ``group_angle`` [rad].
+MIN_ANGLE_DIFFERENCE = 1.0e-3
+#: Largest ``max_minima``.
+MOST_MINIMA = 64
+#: Values of ``minima``.
+MINIMA = ("nearest", "all")
 
 
 @explain_keywords_of
@@ -219,6 +228,9 @@ class ContactOptions(TypedDict, total=False):
     search: str
     entry: str
     swept: bool
+    minima: str
+    group_angle: ArrayLike
+    max_minima: int
     max_depth: float | None
     boundary: str
     search_radius: float
@@ -253,6 +265,9 @@ class Contact:
     boundary: str
     color: Array | None
     visible: bool
+    minima: str
+    group_angle: Array  # (2,) [rad]
+    max_minima: int
     # "all" or "projected" for a contact coupling, whose force acts at the points; None for an ordinary contact.
     facing: str | None = None
 
@@ -267,9 +282,14 @@ class Contact:
         return self.material.formulas
 
     @property
-    def code(self) -> tuple[ContactModel, bool]:
-        """Key of the force kernel: contact model, and whether area weights are projected onto the contact normal."""
-        return self.material.parts, self.facing == "projected"
+    def code(self) -> tuple[ContactModel, bool, int]:
+        """Key of the force kernel: contact model, projection of area weights, number of minima.
+
+        The second one is whether area weights are projected onto the contact normal. The third one is the largest number of
+        minima of a point; 0: only the closest point of the surface.
+        """
+        room = self.max_minima if self.minima == "all" else 0
+        return self.material.parts, self.facing == "projected", room
 
     @property
     def count(self) -> int:
@@ -334,6 +354,19 @@ def check_arms(name: str, material: ContactMaterial, radius: Array, torsion_radi
         kind = type(getattr(material, part)).__name__
         cure = " or a torsion_radius" if part == "torsion" else ""
         raise ValueError(f"{name}: the {part} of its material, {kind}, needs a radius{cure}, got a radius of 0 m")
+
+
+def check_group_angle(name: str, angles: Array) -> Array:
+    """Returns pairs of angles (…, 2) [rad] of ``group_angle``; raises ``ValueError`` if one is not possible."""
+    first, second = angles[..., 0], angles[..., 1]
+    wrong = (second > 0.0) & (second - first < MIN_ANGLE_DIFFERENCE) | (second == 0.0) & (first > 0.0)
+    if wrong.any():
+        pair = angles[np.unravel_index(int(np.argmax(wrong)), wrong.shape)]
+        raise ValueError(
+            f"{name}: the second angle must be larger than the first by at least {MIN_ANGLE_DIFFERENCE:g} rad, or both must "
+            f"be 0, got ({pair[0]:g}, {pair[1]:g}) rad"
+        )
+    return angles
 
 
 def check_areas(name: str, material: ContactMaterial, points: Points) -> None:

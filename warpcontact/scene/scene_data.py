@@ -23,6 +23,10 @@ from warpcontact.scene.body_contact import BodyContact, BodyContacts
 from warpcontact.scene.couplings import Coupling, Couplings
 from warpcontact.scene.elements import (
     AREA,
+    DEFAULT_GROUP_ANGLE,
+    GROUP_ANGLE,
+    MINIMA,
+    MOST_MINIMA,
     RADIUS,
     SCALE,
     SEARCH_RADIUS,
@@ -35,6 +39,7 @@ from warpcontact.scene.elements import (
     active_of_each,
     check_areas,
     check_arms,
+    check_group_angle,
     check_owned,
     mesh_of,
     options_of,
@@ -66,6 +71,15 @@ _LISTS = (
 #: Limits beyond which an environment is quarantined.
 MAX_SPEED = limits("m/s", above=0.0, may_be_infinite=True)
 MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
+
+
+
+def _check_max_minima(name: str, value: int) -> int:
+    """Returns ``max_minima``; raises ``ValueError`` if it is out of range."""
+    number = checks.integer(f"{name}.max_minima", value)
+    if number > MOST_MINIMA:
+        raise ValueError(f"{name}.max_minima must be at most {MOST_MINIMA}, got {number}")
+    return number
 
 
 @explain_renamed
@@ -281,6 +295,9 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, BodyContacts
         search: str = "whole",
         entry: str = "literal",
         swept: bool = False,
+        minima: str = "nearest",
+        group_angle: ArrayLike = DEFAULT_GROUP_ANGLE,
+        max_minima: int = 4,
         max_depth: float | None = None,
         boundary: str = "off",
         search_radius: float = math.inf,
@@ -306,6 +323,11 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, BodyContacts
                 the outer side; their contact tracks the part of the surface where they entered.
             swept: Whether to detect points that cross the surface within a step. They stay in contact with the face
                 that they crossed, so that thin plates of any thickness hold them.
+            minima: ``"nearest"``: the force acts at the closest point of the surface. ``"all"``: at all local minima of
+                the distance within the sphere, so that all walls of a groove or corner carry the sphere.
+            group_angle: Two angles between the normals of minima [rad]. Up to the first one they act as one contact, from
+                the second one on in full. (0, 0): always in full.
+            max_minima: Largest number of minima of a sphere, at most 64. If there are more, the deepest act.
             max_depth: Maximum penetration of a contact [m]. Default: unlimited.
             boundary: ``"off"``: no contact beyond the boundary of an open surface. ``"outer"``: a sphere contacts the
                 boundary while its center is on the outer side.
@@ -346,8 +368,18 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, BodyContacts
             entry=checks.choice(f"{name}.entry", entry, ("literal", "latched")),
             swept=checks.switch(f"{name}.swept", swept),
             boundary=checks.choice(f"{name}.boundary", boundary, ("off", "outer")),
+            minima=checks.choice(f"{name}.minima", minima, MINIMA),
+            group_angle=check_group_angle(
+                f"{name}.group_angle", checks.numbers(f"{name}.group_angle", group_angle, (2,), GROUP_ANGLE)
+            ),
+            max_minima=_check_max_minima(name, max_minima),
             **options_of(name, kappa, max_depth, torsion_radius, force_scale, enabled, color, visible),
         )
+        if minima == "all" and search == "whole" and not all(active.all() for active in surface.active):
+            raise ValueError(
+                f"{name}: minima='all' needs search='active', because {surface.name!r} has faces that are not active: with "
+                "search='whole' the closest of them would exclude the minima on active faces"
+            )
         if search == "active" and not all(active.any() for active in surface.active):
             raise ValueError(f"{name}: search='active' needs at least one active face on {surface.name!r}")
         self.contacts.append(contact)

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpcontact.forces.contact_groups import ContactGroup
+from warpcontact.forces.contact_minima import minima_sensors
 from warpcontact.forces.execution_plan import detection_stages, fused_contact_stages
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget, Need
 from warpcontact.forces.mesh_contact.step_warnings import contacts_to_evaluate, mesh_contact_warnings
 from warpcontact.forces.sensor import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
-from warpcontact.kernels.contact import history
+from warpcontact.kernels.contact import history, minima_history
 from warpcontact.kernels.outcomes import body_measures
 from warpcontact.scene.elements import Contact
 from warpcontact.scene.status import ContactStatus
@@ -98,50 +99,69 @@ class MeshContact(ForceElement):
             for first_cluster, count in (
                 clusters if plan.nonsmooth is None else plan.nonsmooth.compliant_clusters(group)
             ):
+                own = (
+                    {"history": a.history, "write_outputs": plan.write_outputs}
+                    if group.minima is None
+                    else group.minima.inputs
+                )
                 launches += plan.prepare(
                     group.kernel,
                     count,
                     status=status,
                     model=a.model,
                     state=state,
-                    history=a.history,
                     step=step,
                     first_cluster=first_cluster,
                     first_contact=group.first,
                     contacts=a.contacts,
                     active_contacts=a.active_contacts,
-                    write_outputs=plan.write_outputs,
                     ordered=ordered_sum,
                     wrenches=a.wrenches,
+                    **own,
                     **group.material_inputs,
                 )
         return launches
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
-        """Returns the launches that advance the history variables of laws and friction models."""
-        a, launches = plan.model.arrays, []
+        """Returns the launches that advance minima, and the history variables of laws and friction models."""
+        a, real, launches = plan.model.arrays, self._types.real, []
         for group in self._table.groups:
+            inputs = {
+                "status": a.status,
+                "model": a.model,
+                "active_contacts": a.active_contacts,
+                "first_cluster": group.first_cluster,
+                "first_contact": group.first,
+            }
             for formula, history_in, history_out in group.histories():
-                launches += plan.prepare(
-                    history.material_history_kernel(formula, self._types.real),
-                    group.cluster_count,
-                    status=a.status,
-                    model=a.model,
-                    active_contacts=a.active_contacts,
-                    first_cluster=group.first_cluster,
-                    first_contact=group.first,
-                    history_in=history_in,
-                    history_out=history_out,
+                kernel = (
+                    history.material_history_kernel(formula, real)
+                    if group.minima is None
+                    else minima_history.advance_material_history(formula, real, group.minima.room)
                 )
+                launches += plan.prepare(
+                    kernel, group.cluster_count, history_in=history_in, history_out=history_out, **inputs
+                )
+            if group.minima is not None:
+                kernel = minima_history.advance(real, group.minima.room)
+                own = {"minima": group.minima.history, "results": group.minima.results}
+                launches += plan.prepare(kernel, group.cluster_count, **own, **inputs)
         return launches
 
     def reset_state(self, chosen: wp.array) -> None:
-        """Clears the history variables in the environments of the mask ``chosen`` [env]."""
+        """Clears minima and history variables in the environments of the mask ``chosen`` [env]."""
         for group in self._table.groups:
+            if group.minima is not None:
+                wp.launch(
+                    minima_history.reset(self._types.real, group.minima.room),
+                    dim=(len(chosen), group.count),
+                    inputs=[chosen, group.minima.history, group.minima.results],
+                    device=chosen.device,
+                )
             for formula, history_in, _ in group.histories():
                 wp.launch(
                     reset.memory(formula, self._types.real),
-                    dim=(len(chosen), group.count),
+                    dim=(len(chosen), group.history_count),
                     inputs=[chosen, history_in],
                     device=chosen.device,
                 )
@@ -207,12 +227,20 @@ class MeshContact(ForceElement):
         group = next(one for one in self._table.groups if one.first <= start < one.first + one.count)
         first = start - group.first
         in_group: int | slice = first if single else slice(first, first + contact.count)
+        if group.minima is not None:
+            yield from minima_sensors(contact, group.minima, first, several)
+            histories = contact.count * group.minima.places
+            in_group, several = (
+                slice(first * group.minima.places, first * group.minima.places + histories),
+                histories,
+            )
         for part, formula in contact.material.formulas.items():
             for key, memory in formula.memories.items():
                 frame = ", axes of the surface" if memory.tangent else ""
                 meaning = f"{memory.meaning}, as of the last step{frame}"
                 array, shape = _history(group, part, key, in_group), (3,) if memory.tangent else ()
                 yield Sensor(f"{name}.{part}.{key}", memory.unit, meaning, array, items=several, shape=shape)
+        several = 0 if single else contact.count
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
             array, shape = _column("history", attribute, own), shape_in(self._types.History, attribute)
             yield Sensor(f"{name}.{key}", unit, meaning, array, items=several, shape=shape)

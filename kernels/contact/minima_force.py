@@ -1,0 +1,329 @@
+"""Contact forces of a group of spheres at all local minima of the distance, summed per cluster.
+
+Variant of ``contact_force.py``. The narrow phase finds the closest point of the surface, which is the deepest minimum and
+decides whether there is contact. The other minima within reach are found here (``distance_minima.py``). Each one has its
+own force and history. Minima with similar normals share the force of one contact.
+"""
+
+import functools
+import math
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.contact import contact_force
+from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.contact.minima_records import minima_structs, place_count
+from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.narrowphase import closest_point, distance_minima
+from warpcontact.kernels.types import (
+    CONTACT,
+    ENV_ACTIVE,
+    IGNORES_BOUNDARY,
+    OPEN,
+    LaunchRange,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+
+# Cosine of the largest angle, 40°, between the normals of a minimum in successive steps.
+SIMILAR = math.cos(math.radians(40.0))
+
+
+@functools.cache
+def matching(real: type, room: int) -> wp.Function:
+    """Returns the device function that finds the places of the minima of a step among those of the last step.
+
+    Its arguments are ``(history, env, first, normal, foot, count, place)``. ``first`` is the index of the first place of the
+    contact, ``place`` [room] gets the place of each minimum. A minimum keeps its place if it and the minimum there are
+    closest to each other among those with similar normals. Others get an empty place.
+    """
+    vec3 = structs(real).vec3
+    MinimaHistory = minima_structs(real).MinimaHistory
+    places = place_count(room)
+    similar = wp.constant(real(SIMILAR))
+
+    @wp.func
+    def separation(history: MinimaHistory, env: int, member: int, normal: vec3, foot: vec3):
+        """Returns the distance of a minimum from that of a place in the last step [mesh unit]; ∞: not the same wall."""
+        if history.entry_speed[env, member] < real(0.0):
+            return real(wp.inf)
+        if wp.dot(history.last_normal[env, member], normal) < similar:
+            return real(wp.inf)
+        return wp.length(history.last_foot[env, member] - foot)
+
+    @wp.func
+    def match_places(
+        history: MinimaHistory,
+        env: int,
+        first: int,
+        normal: wp.array(dtype=vec3),
+        foot: wp.array(dtype=vec3),
+        count: int,
+        place: wp.array(dtype=wp.int32),
+    ):
+        for i in range(count):
+            best = wp.int32(-1)
+            least = real(wp.inf)
+            for candidate in range(wp.static(places)):
+                apart = separation(history, env, first + candidate, normal[i], foot[i])
+                if apart < least:
+                    least = apart
+                    best = candidate
+            if best >= 0:
+                for j in range(count):
+                    if j != i:
+                        apart = separation(history, env, first + best, normal[j], foot[j])
+                        if apart < least or (apart == least and j < i):
+                            best = -1
+                            break
+            place[i] = best
+        empty = wp.int32(0)
+        for i in range(count):
+            if place[i] < 0:
+                while history.entry_speed[env, first + empty] >= real(0.0):
+                    empty += 1
+                place[i] = empty
+                empty += 1
+
+    return match_places
+
+
+@functools.cache
+def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool = False) -> wp.Kernel:
+    """Returns the force kernel for up to ``room`` minima of a sphere; items: clusters of the group.
+
+    The other arguments, and those of the kernel, are those of ``contact_force.kernel``.
+    """
+    t = structs(real)
+    vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
+    Contacts, ActiveContacts, Wrenches = t.Contacts, t.ActiveContacts, t.Wrenches
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    MinimaSettings, MinimaHistory, MinimaResults = minima_structs(real)
+    places = place_count(room)
+    contact_functions = contact_force.functions(contact_model, real, has_joints, False, places)
+    ContactWrench, contact_wrench = contact_functions.ContactWrench, contact_functions.contact_wrench
+    clear_history, add_wrench = contact_functions.clear_history, contact_functions.add_wrench
+    needs_surface_axes = contact_model.needs_surface_axes
+    frame = frames.functions(real)
+    orientation_to_world, offset_between = frame.orientation_to_world, frame.offset_between
+    narrow = closest_point.functions(real, False, closest_point.DETECT_ALL)
+    SetFrames, frames_of_set = narrow.SetFrames, narrow.frames_of_set
+    minima_functions = distance_minima.functions(real, room)
+    find_minima, share = minima_functions.find_minima, minima_functions.share
+    match_places = matching(real, room)
+
+    @wp.func
+    def clear_place(
+        results: MinimaResults,
+        history_out: MaterialHistory,
+        env: int,
+        member: int,
+        armed: int,
+        dt: real,
+    ):
+        """Writes an empty place."""
+        results.touching[env, member] = 0
+        results.approach_speed[env, member] = real(0.0)
+        results.penetration[env, member] = real(0.0)
+        results.normal[env, member] = vec3()
+        results.normal_force[env, member] = real(0.0)
+        clear_history(history_out, env, member, armed, dt)
+
+    @wp.func
+    def write_sums(
+        contacts: Contacts,
+        results: MinimaResults,
+        env: int,
+        contact: int,
+        item: int,
+        found: int,
+        total: ContactWrench,
+    ):
+        """Writes the number of minima and the sums of their forces."""
+        contacts.approach_speed[env, contact] = total.approach_speed
+        contacts.slip_speed[env, contact] = total.slip_speed
+        contacts.normal_force[env, contact] = total.normal_force
+        contacts.friction_force[env, contact] = total.friction_force
+        contacts.torque[env, contact] = total.torque
+        results.count[env, item] = found
+        results.force[env, item] = total.force
+
+    @wp.func
+    def evaluate_minima(
+        model: Model,
+        state: State,
+        history: MinimaHistory,
+        history_in: MaterialHistory,
+        dt: real,
+        coefficients: Coefficients,
+        settings: wp.array2d(dtype=MinimaSettings),
+        contacts: Contacts,
+        results: MinimaResults,
+        history_out: MaterialHistory,
+        env: int,
+        contact: int,
+        item: int,
+        body_1: int,
+        body_2: int,
+        offset_W: vec3,
+        q_WS: quat,
+        set_frames: SetFrames,
+    ):
+        """Returns the sum of the wrenches of all minima of a contact, and writes its results."""
+        total = ContactWrench()
+        first = item * wp.static(places)
+        armed = contacts.armed[env, contact]
+        if contacts.status[env, contact] != CONTACT:
+            for place in range(wp.static(places)):
+                clear_place(results, history_out, env, first + place, armed, dt)
+            write_sums(contacts, results, env, contact, item, 0, total)
+            return total
+        geometry = model.contact_geometry[env, contact]
+        option = model.contact_options[contact]
+        radius = geometry.radius
+        arm_W = set_frames.R_WB * model.point_position[env, assume_nonnegative(model.contact_point[contact])]
+        p = set_frames.inverse_scale * (wp.transpose(set_frames.R_WS) * (set_frames.offset_W + arm_W))
+        distance = wp.zeros(shape=(room,), dtype=real)
+        penetration = wp.zeros(shape=(room,), dtype=real)
+        normal = wp.zeros(shape=(room,), dtype=vec3)
+        foot = wp.zeros(shape=(room,), dtype=vec3)
+        rows = wp.zeros(shape=(room,), dtype=wp.int32)
+        placed = wp.zeros(shape=(room,), dtype=wp.int32)
+        # Tracked contacts on the inner side are held by the wall that they passed, and other walls are behind it.
+        inside = contacts.gap[env, contact] < -radius
+        minima = find_minima(
+            model,
+            set_frames.query_mesh,
+            p,
+            radius * set_frames.inverse_scale,
+            contacts.face[env, contact],
+            (option & IGNORES_BOUNDARY) == 0,
+            inside and (option & closest_point.TRACKED) != 0,
+            distance,
+            normal,
+            foot,
+            rows,
+        )
+        if minima.closest_counts:
+            penetration[0] = contacts.penetration[env, contact]
+            normal[0] = wp.transpose(set_frames.R_WS) * contacts.normal[env, contact]
+        count = wp.int32(0)
+        for i in range(minima.kept):
+            if i > 0 or not minima.closest_counts:
+                penetration[i] = radius - set_frames.scale * distance[i]
+            # The last ones can be open by rounding.
+            if penetration[i] > real(0.0):
+                count = i + 1
+        match_places(history, env, first, normal, foot, count, placed)
+        cosines = settings[env, item]
+        # In the order of the places, so that the sum does not depend on which of two minima is deeper by rounding.
+        for place in range(wp.static(places)):
+            member = first + place
+            i = wp.int32(-1)
+            for j in range(count):
+                if placed[j] == place:
+                    i = j
+            if i < 0:
+                clear_place(results, history_out, env, member, armed, dt)
+                continue
+            # The closest point as the narrow phase found it.
+            normal_W = contacts.normal[env, contact]
+            arm = contacts.arm[env, contact]
+            if i > 0 or not minima.closest_counts:
+                normal_W = set_frames.R_WS * normal[i]
+                to_surface = set_frames.scale * (foot[i] - p)
+                to_deepest = -radius * normal[i]
+                arm = arm_W + set_frames.R_WS * (to_surface + geometry.kappa * (to_deepest - to_surface))
+            wrench = contact_wrench(
+                model, state, history_in, dt, coefficients, history_out, env, contact, member, body_1, body_2,
+                offset_W, q_WS, set_frames.R_WB, arm, normal_W, penetration[i], history.entry_speed[env, member],
+            )  # fmt: skip
+            part = share(penetration, normal, count, i, cosines.cosine_one, cosines.cosine_none)
+            results.touching[env, member] = 1
+            results.approach_speed[env, member] = wrench.approach_speed
+            results.normal_S[env, member] = normal[i]
+            results.foot[env, member] = foot[i]
+            results.penetration[env, member] = penetration[i]
+            results.normal[env, member] = normal_W
+            results.normal_force[env, member] = part * wrench.normal_force
+            if i == 0:
+                total.approach_speed = wrench.approach_speed
+                total.slip_speed = wrench.slip_speed
+            total.normal_force += part * wrench.normal_force
+            total.friction_force += part * wrench.friction_force
+            total.torque += part * wrench.torque
+            total.force += part * wrench.force
+            total.torque_1 += part * wrench.torque_1
+            total.torque_2 += part * wrench.torque_2
+        if count == 0:
+            # Only a place outside a boundary is within reach.
+            contacts.status[env, contact] = OPEN
+            contacts.penetration[env, contact] = real(0.0)
+            contacts.gap[env, contact] = real(0.0)
+        write_sums(contacts, results, env, contact, item, minima.found, total)
+        return total
+
+    # Without unrolling: the loop over places contains the whole evaluation of a contact.
+    @unique_kernel(unrolled=1)
+    def minima_force(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        history_in: MaterialHistory,
+        step: wp.array2d(dtype=real),  # [env, 0] step over which the force acts [s]; 0: force at this instant
+        first_cluster: wp.int32,
+        first_contact: wp.int32,
+        coefficients: Coefficients,
+        contacts: Contacts,
+        history_out: MaterialHistory,
+        active_contacts: ActiveContacts,
+        ordered: wp.bool,
+        wrenches: Wrenches,
+        settings: wp.array2d(dtype=MinimaSettings),
+        minima: MinimaHistory,
+        results: MinimaResults,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            cluster = first_cluster + task_item(launch, task)
+            if status[env] != ENV_ACTIVE or active_contacts.count[env, cluster] == 0:
+                continue
+            start = assume_nonnegative(model.cluster_start[cluster])
+            contact = assume_nonnegative(model.cluster_contact[start])
+            surface = assume_nonnegative(
+                model.query_mesh_surface[assume_nonnegative(model.contact_query_mesh[contact])]
+            )
+            point = assume_nonnegative(model.contact_point[contact])
+            body_1 = model.point_body[point]
+            body_2 = model.surface_body[surface]
+            offset_W = offset_between(model, state, env, point, surface)
+            set_frames = frames_of_set(model, state, env, assume_nonnegative(model.cluster_set[cluster]))
+            q_WS = quat()
+            if wp.static(needs_surface_axes):
+                q_WS = orientation_to_world(state, env, body_2, model.surface_orientation[env, surface])
+            dt = step[env, 0]
+            force = vec3()
+            torque_1 = vec3()
+            torque_2 = vec3()
+            for index in range(start, start + active_contacts.count[env, cluster]):
+                contact = assume_nonnegative(active_contacts.contact[env, index])
+                wrench = evaluate_minima(
+                    model, state, minima, history_in, dt, coefficients, settings, contacts, results, history_out,
+                    env, contact, contact - first_contact, body_1, body_2, offset_W, q_WS, set_frames,
+                )  # fmt: skip
+                force += wrench.force
+                torque_1 += wrench.torque_1
+                torque_2 += wrench.torque_2
+            if ordered:
+                active_contacts.force[env, cluster] = force
+                active_contacts.torque_1[env, cluster] = torque_1
+                active_contacts.torque_2[env, cluster] = torque_2
+            else:
+                add_wrench(wrenches, env, body_1, force, torque_1)
+                add_wrench(wrenches, env, body_2, -force, torque_2)
+
+    return minima_force

@@ -1,0 +1,65 @@
+"""Structs of contacts at all local minima of the distance: settings, history and results.
+
+A contact has ``place_count`` places for minima. A minimum keeps its place, and with it its history, from step to step.
+Arrays of places are indexed [env, place_count × contact of the group + place].
+"""
+
+import functools
+from typing import NamedTuple
+
+import warp as wp
+from warpcontact.kernels.types import Struct, structs
+
+
+def place_count(room: int) -> int:
+    """Returns the number of places of a contact with up to ``room`` minima.
+
+    A new minimum never takes a place that another one had in the last step, whose history would be read.
+    """
+    return 2 * room
+
+
+class MinimaStructs(NamedTuple):
+    """Structs of contacts at all minima, in one precision."""
+
+    MinimaSettings: Struct  # parameters of a contact
+    MinimaHistory: Struct  # minima of the last accepted step
+    MinimaResults: Struct  # minima of the current step
+
+
+@functools.cache
+def minima_structs(real: type) -> MinimaStructs:
+    """Returns the structs of contacts at all minima in one precision."""
+    vec3 = structs(real).vec3
+
+    @wp.struct
+    class MinimaSettings:
+        """Parameters of a contact."""
+
+        cosine_one: real  # of the angle between normals up to which minima act as one
+        cosine_none: real  # of the angle from which on they act in full; 1: always
+
+    @wp.struct
+    class MinimaHistory:
+        """Minima of the last accepted step."""
+
+        entry_speed: wp.array2d(dtype=real)  # [env, place] approach speed at entry [m/s]; < 0: no minimum
+        last_normal: wp.array2d(dtype=vec3)  # [env, place] unit, out of the surface, axes of the surface
+        last_foot: wp.array2d(dtype=vec3)  # [env, place] place on the surface, S [mesh unit]
+        overflow: wp.array2d(dtype=wp.int32)  # [env, contact] number of steps with more minima than room
+
+    @wp.struct
+    class MinimaResults:
+        """Minima of the current step. Without contact: 0."""
+
+        touching: wp.array2d(dtype=wp.int32)  # [env, place] 1: a minimum in contact
+        approach_speed: wp.array2d(dtype=real)  # [env, place] dδ/dt at K [m/s]
+        normal_S: wp.array2d(dtype=vec3)  # [env, place] unit, out of the surface, axes of the surface
+        foot: wp.array2d(dtype=vec3)  # [env, place] place on the surface, S [mesh unit]
+        penetration: wp.array2d(dtype=real)  # [env, place] [m]
+        normal: wp.array2d(dtype=vec3)  # [env, place] unit, out of the surface, W
+        normal_force: wp.array2d(dtype=real)  # [env, place] with its share [N]
+        count: wp.array2d(dtype=wp.int32)  # [env, contact] number of minima within reach, with those without room
+        force: wp.array2d(dtype=vec3)  # [env, contact] total, on the point's body, W [N]
+
+    return MinimaStructs(MinimaSettings=MinimaSettings, MinimaHistory=MinimaHistory, MinimaResults=MinimaResults)
