@@ -239,6 +239,14 @@ class ForceElement(ABC):
         text = f"{name}: forces could not be computed in {count} of {envs} environments (first: {first})"
         return RunWarning(text, WarningLevel.ERROR)
 
+    def final_warnings(self, model: "Environments") -> list[RunWarning]:
+        """Returns the warnings about the state at the end of a run.
+
+        Args:
+            model: The model, on all devices.
+        """
+        return []
+
     # Sensors
 
     def sensors(self) -> Iterable["Sensor"]:

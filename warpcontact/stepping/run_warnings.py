@@ -24,8 +24,10 @@ class RunWarnings:
         model.reset_residuals()
 
     def new(self) -> list[RunWarning]:
-        """Returns the warnings about solvers; see ``frozen_warnings`` for the others."""
-        return [*self._force_warnings(), *self._solver_warnings()]
+        """Returns the warnings about forces and solvers; see ``frozen_warnings`` for the others."""
+        elements = self.model.parts[0].force_elements
+        final = [warning for element in elements for warning in element.final_warnings(self.model)]
+        return [*self._force_warnings(), *self._solver_warnings(), *final]
 
     def frozen_warnings(self) -> list[RunWarning]:
         """Returns a warning if the number of frozen environments has grown."""

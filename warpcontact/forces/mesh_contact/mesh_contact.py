@@ -7,21 +7,25 @@ The contacts are those of the contact table (``contact_table.py``). Kernels: ``k
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpcontact.forces.contact_groups import ContactGroup
 from warpcontact.forces.contact_minima import minima_sensors
 from warpcontact.forces.execution_plan import detection_stages, fused_contact_stages
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget, Need
+from warpcontact.forces.mesh_contact.crease_warnings import crease_warnings
 from warpcontact.forces.mesh_contact.step_warnings import contacts_to_evaluate, mesh_contact_warnings
 from warpcontact.forces.sensor import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.contact import history, minima_history
 from warpcontact.kernels.outcomes import body_measures
-from warpcontact.scene.elements import Contact
+from warpcontact.scene.elements import MOST_MINIMA, Contact
 from warpcontact.scene.status import ContactStatus
 from warpcontact.storage.allocation_plan import SENSOR_PURPOSE, AllocationPlan, per_env
 from warpcontact.storage.model_arrays import ModelArrays
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
@@ -178,6 +182,36 @@ class MeshContact(ForceElement):
         """Returns the warnings about step length, friction and initial penetration."""
         return mesh_contact_warnings(model, dt, nonsmooth)
 
+    def final_warnings(self, model: "Environments") -> list[RunWarning]:
+        """Returns the warnings about spheres in creases."""
+        return crease_warnings(model, self._table.start_of)
+
+    def failures(self) -> dict[str, NDArray[np.int32]]:
+        """Returns the number of steps since reset with more minima than room, (envs,) by contact; of a set, the maximum."""
+        found = {}
+        for contact in self._contacts:
+            group, first = self._place_of(contact)
+            if group.minima is not None:
+                overflow = group.minima.history.overflow.numpy()[:, first : first + contact.count]
+                found[contact.name] = overflow.max(axis=1)
+        return found
+
+    def failure_warning(self, name: str, count: int, envs: int, first: int) -> RunWarning:
+        """Returns a warning that a sphere had more minima than room."""
+        contact = next(one for one in self._contacts if one.name == name)
+        text = (
+            f"{name}: a sphere had more than max_minima = {contact.max_minima} minima in {count} of {envs} environments "
+            f"(first: {first}). The deepest acted. Increase max_minima, at most {MOST_MINIMA}, or use a coarser mesh; "
+            f"{name}.minimum_overflow counts such steps"
+        )
+        return RunWarning(text, WarningLevel.CAUTION)
+
+    def _place_of(self, contact: Contact) -> tuple[ContactGroup, int]:
+        """Returns the group of a contact, and the index of its first item there."""
+        start = self._table.start_of[contact]
+        group = next(one for one in self._table.groups if one.first <= start < one.first + one.count)
+        return group, start - group.first
+
     def needs(self) -> Mapping[str, Need]:
         """Returns the need of contact points."""
 
@@ -224,8 +258,7 @@ class MeshContact(ForceElement):
             yield Sensor(
                 f"{name}.{key}", unit, meaning, _column("contacts", attribute, own), shape=shape, **options
             )
-        group = next(one for one in self._table.groups if one.first <= start < one.first + one.count)
-        first = start - group.first
+        group, first = self._place_of(contact)
         in_group: int | slice = first if single else slice(first, first + contact.count)
         if group.minima is not None:
             yield from minima_sensors(contact, group.minima, first, several)
