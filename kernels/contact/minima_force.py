@@ -6,11 +6,10 @@ own force and history. Minima with similar normals share the force of one contac
 """
 
 import functools
-import math
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.contact import contact_force
+from warpcontact.kernels.contact import contact_force, minima_geometry
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.contact.minima_records import minima_structs, place_count
 from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
@@ -19,7 +18,6 @@ from warpcontact.kernels.narrowphase import closest_point, distance_minima
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
-    IGNORES_BOUNDARY,
     OPEN,
     LaunchRange,
     structs,
@@ -27,68 +25,6 @@ from warpcontact.kernels.types import (
     task_env,
     task_item,
 )
-
-# Cosine of the largest angle, 40°, between the normals of a minimum in successive steps.
-SIMILAR = math.cos(math.radians(40.0))
-
-
-@functools.cache
-def matching(real: type, room: int) -> wp.Function:
-    """Returns the device function that finds the places of the minima of a step among those of the last step.
-
-    Its arguments are ``(history, env, first, normal, foot, count, place)``. ``first`` is the index of the first place of the
-    contact, ``place`` [room] gets the place of each minimum. A minimum keeps its place if it and the minimum there are
-    closest to each other among those with similar normals. Others get an empty place.
-    """
-    vec3 = structs(real).vec3
-    MinimaHistory = minima_structs(real).MinimaHistory
-    places = place_count(room)
-    similar = wp.constant(real(SIMILAR))
-
-    @wp.func
-    def separation(history: MinimaHistory, env: int, member: int, normal: vec3, foot: vec3):
-        """Returns the distance of a minimum from that of a place in the last step [mesh unit]; ∞: not the same wall."""
-        if history.entry_speed[env, member] < real(0.0):
-            return real(wp.inf)
-        if wp.dot(history.last_normal[env, member], normal) < similar:
-            return real(wp.inf)
-        return wp.length(history.last_foot[env, member] - foot)
-
-    @wp.func
-    def match_places(
-        history: MinimaHistory,
-        env: int,
-        first: int,
-        normal: wp.array(dtype=vec3),
-        foot: wp.array(dtype=vec3),
-        count: int,
-        place: wp.array(dtype=wp.int32),
-    ):
-        for i in range(count):
-            best = wp.int32(-1)
-            least = real(wp.inf)
-            for candidate in range(wp.static(places)):
-                apart = separation(history, env, first + candidate, normal[i], foot[i])
-                if apart < least:
-                    least = apart
-                    best = candidate
-            if best >= 0:
-                for j in range(count):
-                    if j != i:
-                        apart = separation(history, env, first + best, normal[j], foot[j])
-                        if apart < least or (apart == least and j < i):
-                            best = -1
-                            break
-            place[i] = best
-        empty = wp.int32(0)
-        for i in range(count):
-            if place[i] < 0:
-                while history.entry_speed[env, first + empty] >= real(0.0):
-                    empty += 1
-                place[i] = empty
-                empty += 1
-
-    return match_places
 
 
 @functools.cache
@@ -111,9 +47,14 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
     orientation_to_world, offset_between = frame.orientation_to_world, frame.offset_between
     narrow = closest_point.functions(real, False, closest_point.DETECT_ALL)
     SetFrames, frames_of_set = narrow.SetFrames, narrow.frames_of_set
-    minima_functions = distance_minima.functions(real, room)
-    find_minima, share = minima_functions.find_minima, minima_functions.share
-    match_places = matching(real, room)
+    geometry_functions = minima_geometry.functions(real, room)
+    center_arm, center_in_mesh, find_minima = (
+        geometry_functions.center_arm,
+        geometry_functions.center_in_mesh,
+        geometry_functions.find_minima,
+    )
+    contact_arm, match_places = geometry_functions.contact_arm, geometry_functions.match_places
+    share = distance_minima.functions(real, room).share
 
     @wp.func
     def clear_place(
@@ -182,34 +123,17 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
             write_sums(contacts, results, env, contact, item, 0, total)
             return total
         geometry = model.contact_geometry[env, contact]
-        option = model.contact_options[contact]
         radius = geometry.radius
-        arm_W = set_frames.R_WB * model.point_position[env, assume_nonnegative(model.contact_point[contact])]
-        p = set_frames.inverse_scale * (wp.transpose(set_frames.R_WS) * (set_frames.offset_W + arm_W))
+        p = center_in_mesh(set_frames, center_arm(model, set_frames, env, contact))
         distance = wp.zeros(shape=(room,), dtype=real)
         penetration = wp.zeros(shape=(room,), dtype=real)
         normal = wp.zeros(shape=(room,), dtype=vec3)
         foot = wp.zeros(shape=(room,), dtype=vec3)
         rows = wp.zeros(shape=(room,), dtype=wp.int32)
         placed = wp.zeros(shape=(room,), dtype=wp.int32)
-        # Tracked contacts on the inner side are held by the wall that they passed, and other walls are behind it.
-        inside = contacts.gap[env, contact] < -radius
-        minima = find_minima(
-            model,
-            set_frames.query_mesh,
-            p,
-            radius * set_frames.inverse_scale,
-            contacts.face[env, contact],
-            (option & IGNORES_BOUNDARY) == 0,
-            inside and (option & closest_point.TRACKED) != 0,
-            distance,
-            normal,
-            foot,
-            rows,
-        )
+        minima = find_minima(model, set_frames, contacts, env, contact, p, radius, distance, normal, foot, rows)
         if minima.closest_counts:
             penetration[0] = contacts.penetration[env, contact]
-            normal[0] = wp.transpose(set_frames.R_WS) * contacts.normal[env, contact]
         count = wp.int32(0)
         for i in range(minima.kept):
             if i > 0 or not minima.closest_counts:
@@ -229,14 +153,11 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
             if i < 0:
                 clear_place(results, history_out, env, member, armed, dt)
                 continue
-            # The closest point as the narrow phase found it.
+            is_closest = i == 0 and minima.closest_counts
             normal_W = contacts.normal[env, contact]
-            arm = contacts.arm[env, contact]
-            if i > 0 or not minima.closest_counts:
+            if not is_closest:
                 normal_W = set_frames.R_WS * normal[i]
-                to_surface = set_frames.scale * (foot[i] - p)
-                to_deepest = -radius * normal[i]
-                arm = arm_W + set_frames.R_WS * (to_surface + geometry.kappa * (to_deepest - to_surface))
+            arm = contact_arm(model, set_frames, contacts, env, contact, p, normal[i], foot[i], is_closest)
             wrench = contact_wrench(
                 model, state, history_in, dt, coefficients, history_out, env, contact, member, body_1, body_2,
                 offset_W, q_WS, set_frames.R_WB, arm, normal_W, penetration[i], history.entry_speed[env, member],
