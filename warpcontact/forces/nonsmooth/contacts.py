@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from warpcontact.forces.contact_groups import ContactGroup, group_by_model
 from warpcontact.forces.force_element import ForceElement
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP, NonsmoothSource, material_upload, parameters_of
+from warpcontact.forces.nonsmooth.minima import NonsmoothMinima
 from warpcontact.forces.nonsmooth.sensors import OF_SCENE
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
 from warpcontact.forces.sensor import Sensor
@@ -147,7 +148,10 @@ class NonsmoothContacts(ForceElement):
             for contact, own in meshes.items()
         }
         self._mesh = self._item_list(0, meshes, layout)
-        self._mesh_blocks = self._item_list(0, self._blocks_of, layout)
+        # Those with one minimum per point, the others are in ``_minima``.
+        nearest = {contact: own for contact, own in meshes.items() if contact.minima == "nearest"}
+        self._nearest = self._mesh if len(nearest) == len(meshes) else self._item_list(0, nearest, layout)
+        self._mesh_blocks = self._item_list(0, {one: self._blocks_of[one] for one in nearest}, layout)
         # Range of sensor values of each mesh or shape contact.
         self._displayed: dict[Contact | ShapeContact, slice] = dict(meshes.items())
         self._shape_contact_sets: list[tuple[ShapeContactSet, _ItemList]] = []
@@ -168,7 +172,18 @@ class NonsmoothContacts(ForceElement):
                 self._particle_contact_sets.append((particle_set, count + len(self._particle_contact_sets)))
                 self._first_records[particle_set.contact] = stored_count
                 stored_count += particle_set.slots
-        self.capacity = self._mesh.count + sum(own.count for _, own in self._shape_contact_sets)
+        self._minima: list[NonsmoothMinima] = []
+        for group in model.groups:
+            own = [one for one in contacts if one.code == group.code and not self.is_compliant(one.name)]
+            if own and group.minima is not None:
+                items, clusters = (
+                    [number for one in own for number in range(of[one].start, of[one].stop)]
+                    for of in (meshes, self._blocks_of)
+                )
+                self._minima.append(NonsmoothMinima(group, items, clusters, stored_count, layout, PURPOSE))
+                stored_count += self._minima[-1].stored_count
+        self.capacity = self._nearest.count + sum(one.row_count for one in self._minima)
+        self.capacity += sum(own.count for _, own in self._shape_contact_sets)
         self.capacity += sum(particle_set.slots for particle_set, _ in self._particle_contact_sets)
         everything = (*self._displayed, *self._first_records)
         self._nonsmooth = [contact for contact in everything if not self.is_compliant(contact.name)]
@@ -285,6 +300,8 @@ class NonsmoothContacts(ForceElement):
                 values = array.numpy()
                 values[:, nonsmooth] = nothing
                 array.assign(values)
+        for minima in self._minima:
+            minima.reset(model.envs, model.device)
 
     @property
     def scratch(self) -> dict[str, Any]:
@@ -372,7 +389,7 @@ class NonsmoothContacts(ForceElement):
             "solve_result": self.solve_result,
         }
         launches = []
-        if self._mesh.count:
+        if self._nearest.count:
             launches += plan.prepare(
                 build_rows.mesh_rows(real),
                 1,
@@ -383,6 +400,8 @@ class NonsmoothContacts(ForceElement):
                 block_count=self._mesh_blocks.count,
                 **inputs,
             )
+        for minima in self._minima:
+            launches += minima.row_launches(plan, inputs)
         for one, own in self._shape_contact_sets:
             if own.count:
                 launches += plan.prepare(
@@ -481,7 +500,7 @@ class NonsmoothContacts(ForceElement):
         ``status`` [env]: environments that are not active are skipped.
         """
         a, real = plan.model.arrays, self._real
-        targets = [(self._mesh, save_impulses.display_contacts(real, self._contacts), a.contacts)]
+        targets = [(self._nearest, save_impulses.display_contacts(real, self._contacts), a.contacts)]
         for one, own in self._shape_contact_sets:
             targets.append(
                 (
@@ -490,20 +509,20 @@ class NonsmoothContacts(ForceElement):
                     one.shape_contacts,
                 )
             )
+        inputs = {
+            "status": status,
+            "step": self._step,
+            "stored_impulses": self.stored_impulses,
+            "statistics": self.statistics,
+            "displayed": self.displayed,
+        }
         launches = []
         for own, kernel, target in targets:
             launches += plan.prepare(
-                kernel,
-                own.count,
-                status=status,
-                step=self._step,
-                first=own.first,
-                items=own.items,
-                stored_impulses=self.stored_impulses,
-                statistics=self.statistics,
-                contacts=target,
-                displayed=self.displayed,
+                kernel, own.count, first=own.first, items=own.items, contacts=target, **inputs
             )
+        for minima in self._minima:
+            launches += minima.show_launches(plan, inputs)
         return launches
 
     def show(self, model: "DeviceModel") -> None:
