@@ -66,8 +66,17 @@ class ForceLines:
 
     @classmethod
     def of(cls, replay: Replay, contact: Contact | ShapeContact) -> "ForceLines | None":
-        """Returns the lines, or ``None`` unless normal force, normal and point were recorded."""
+        """Returns the lines, or ``None`` unless normal force, normal and point were recorded.
+
+        A contact at several minima has several normals, and needs force and point instead.
+        """
         shape = (len(replay.codes), len(replay.envs), contact.count)
+        if isinstance(contact, Contact) and contact.minima == "all":
+            total, point = (replay.series(f"{contact.name}.{key}") for key in ("force", "point"))
+            if total is None or point is None:
+                return None
+            start, each = (values.astype(np.float64).reshape(*shape, 3) for values in (point, total))
+            return cls(contact, start, each)
         parts = {}
         for key in ("normal_force", "normal", "point", "friction_force"):
             values = replay.series(f"{contact.name}.{key}")

@@ -179,6 +179,11 @@ class Candidates:
                 )
         sources = NonsmoothSource(contact, contact.material.formulas, count).parameter_paths()
         check_rigid(contact.name, contact.material.formulas, "Or use SemiImplicitEuler")
+        if isinstance(contact, Contact) and contact.minima == "all":
+            raise ValueError(
+                f"{contact.name}.minima must be 'nearest': this method has one contact point per sphere, got 'all'. Use "
+                "MoreauJean, or a surface and a contact for each wall"
+            )
         if (self._values(f"{contact.name}.force_scale", count, 1.0) != 1.0).any():
             raise ValueError(f"{contact.name}.force_scale must be 1 for nonsmooth contact")
         columns = [
