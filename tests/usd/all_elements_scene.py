@@ -61,6 +61,10 @@ def contact_scene(gravity=(0.1, -0.2, -9.7)):
         centre, ground, rubber, radius=0.1, kappa=0.25, entry="latched", swept=True, boundary="outer",
         search_radius=2.0, torsion_radius=0.01, force_scale=0.9, max_depth=0.5, name="touch-1", color=(1, 0, 0),
     )  # fmt: skip
+    scene.add_contact(
+        centre, ground, rubber, radius=0.09, minima="all", group_angle=(0.1, 0.5), max_minima=3, search="active",
+        name="walls",
+    )  # fmt: skip
     plate = scene.add_body(2.0, (0.1, 0.1, 0.15), (0.0, 0.0, 0.4), motion=wc.motions.Planar(normal=(0, 1, 0.1)))
     sheet = scene.add_surface(wavy(3, 4, 0.3), plate, (0, 0, 0.01), turned(odd), name="sheet", visible=False)
     under = scene.add_points(sheet, wc.sample_surface(wavy(3, 4, 0.3), 7), name="under")
