@@ -62,3 +62,26 @@ def test_particle_contact_arrows_are_drawn_for_every_shape(device, tmp_path):
             [recording["grains.position"].values[code, 1], recording["other.position"].values[code, 1:2]]
         )
         np.testing.assert_allclose(start[[0, 1, 3]], centres[[0, 1, 3]], atol=1e-6)
+
+
+def test_contact_at_several_minima_has_one_arrow_of_the_total_force(device, tmp_path):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    folded = wc.Mesh(
+        [(0, -1, 0), (0, 1, 0), (1, -1, 1), (1, 1, 1), (-1, -1, 1), (-1, 1, 1)],
+        [(0, 2, 3), (0, 3, 1), (0, 1, 5), (0, 5, 4)],
+    )
+    walls = scene.add_surface(folded, name="walls")
+    ball = scene.add_body(1e3, (1, 1, 1), (0.0, 0.0, 0.14), name="ball")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
+    centre = scene.add_point(ball, (0, 0, 0))
+    scene.add_contact(centre, walls, material, radius=0.1, minima="all", name="touch")
+    keys = ("force", "point", "normal_force", "normal")
+    recording = wc.Simulation(scene.build(1, device, "float64"), 1e-3).run(2e-3, [f"touch.{key}" for key in keys])
+    stage = export(recording, tmp_path, force_scale=0.01)
+    start, force = arrows(stage, "/World/env_0/contacts/touch/force", 1)
+    np.testing.assert_allclose(start, recording["touch.point"].values[1], atol=1e-6)
+    np.testing.assert_allclose(force / 0.01, recording["touch.force"].values[1], atol=1e-3)
+    assert force[0, 2] > 0.1
+    # A normal alone has no direction for several forces.
+    other = export(recording.drop_vars("touch.force"), tmp_path, force_scale=0.01, scene=recording.scene)
+    assert not other.GetPrimAtPath("/World/env_0/contacts/touch/force")
