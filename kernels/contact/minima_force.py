@@ -11,7 +11,7 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.contact import contact_force, minima_geometry
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.contact.minima_records import minima_structs, place_count
+from warpcontact.kernels.contact.minima_records import minima_structs, slot_count
 from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase import closest_point, distance_minima
@@ -38,8 +38,8 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
     Contacts, ActiveContacts, Wrenches = t.Contacts, t.ActiveContacts, t.Wrenches
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     MinimaSettings, MinimaHistory, MinimaResults = minima_structs(real)
-    places = place_count(room)
-    contact_functions = contact_force.functions(contact_model, real, has_joints, False, places)
+    slots = slot_count(room)
+    contact_functions = contact_force.functions(contact_model, real, has_joints, False, slots)
     ContactWrench, contact_wrench = contact_functions.ContactWrench, contact_functions.contact_wrench
     clear_history, add_wrench = contact_functions.clear_history, contact_functions.add_wrench
     needs_surface_axes = contact_model.needs_surface_axes
@@ -53,11 +53,11 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
         geometry_functions.center_in_mesh,
         geometry_functions.find_minima,
     )
-    contact_arm, match_places = geometry_functions.contact_arm, geometry_functions.match_places
+    contact_arm, match_slots = geometry_functions.contact_arm, geometry_functions.match_slots
     share = distance_minima.functions(real, room).share
 
     @wp.func
-    def clear_place(
+    def clear_slot(
         results: MinimaResults,
         history_out: MaterialHistory,
         env: int,
@@ -65,7 +65,7 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
         armed: int,
         dt: real,
     ):
-        """Writes an empty place."""
+        """Writes an empty slot."""
         results.touching[env, member] = 0
         results.approach_speed[env, member] = real(0.0)
         results.penetration[env, member] = real(0.0)
@@ -115,11 +115,11 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
     ):
         """Returns the sum of the wrenches of all minima of a contact, and writes its results."""
         total = ContactWrench()
-        first = item * wp.static(places)
+        first = item * wp.static(slots)
         armed = contacts.armed[env, contact]
         if contacts.status[env, contact] != CONTACT:
-            for place in range(wp.static(places)):
-                clear_place(results, history_out, env, first + place, armed, dt)
+            for slot in range(wp.static(slots)):
+                clear_slot(results, history_out, env, first + slot, armed, dt)
             write_sums(contacts, results, env, contact, item, 0, total)
             return total
         geometry = model.contact_geometry[env, contact]
@@ -128,10 +128,12 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
         distance = wp.zeros(shape=(room,), dtype=real)
         penetration = wp.zeros(shape=(room,), dtype=real)
         normal = wp.zeros(shape=(room,), dtype=vec3)
-        foot = wp.zeros(shape=(room,), dtype=vec3)
+        position = wp.zeros(shape=(room,), dtype=vec3)
         rows = wp.zeros(shape=(room,), dtype=wp.int32)
-        placed = wp.zeros(shape=(room,), dtype=wp.int32)
-        minima = find_minima(model, set_frames, contacts, env, contact, p, radius, distance, normal, foot, rows)
+        slots_of = wp.zeros(shape=(room,), dtype=wp.int32)
+        minima = find_minima(
+            model, set_frames, contacts, env, contact, p, radius, distance, normal, position, rows
+        )
         if minima.closest_counts:
             penetration[0] = contacts.penetration[env, contact]
         count = wp.int32(0)
@@ -141,23 +143,23 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
             # The last ones can be open by rounding.
             if penetration[i] > real(0.0):
                 count = i + 1
-        match_places(history, env, first, normal, foot, count, placed)
+        match_slots(history, env, first, normal, position, count, slots_of)
         cosines = settings[env, item]
-        # In the order of the places, so that the sum does not depend on which of two minima is deeper by rounding.
-        for place in range(wp.static(places)):
-            member = first + place
+        # In the order of the slots, so that the sum does not depend on which of two minima is deeper by rounding.
+        for slot in range(wp.static(slots)):
+            member = first + slot
             i = wp.int32(-1)
             for j in range(count):
-                if placed[j] == place:
+                if slots_of[j] == slot:
                     i = j
             if i < 0:
-                clear_place(results, history_out, env, member, armed, dt)
+                clear_slot(results, history_out, env, member, armed, dt)
                 continue
             is_closest = i == 0 and minima.closest_counts
             normal_W = contacts.normal[env, contact]
             if not is_closest:
                 normal_W = set_frames.R_WS * normal[i]
-            arm = contact_arm(model, set_frames, contacts, env, contact, p, normal[i], foot[i], is_closest)
+            arm = contact_arm(model, set_frames, contacts, env, contact, p, normal[i], position[i], is_closest)
             wrench = contact_wrench(
                 model, state, history_in, dt, coefficients, history_out, env, contact, member, body_1, body_2,
                 offset_W, q_WS, set_frames.R_WB, arm, normal_W, penetration[i], history.entry_speed[env, member],
@@ -166,7 +168,7 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
             results.touching[env, member] = 1
             results.approach_speed[env, member] = wrench.approach_speed
             results.normal_S[env, member] = normal[i]
-            results.foot[env, member] = foot[i]
+            results.position[env, member] = position[i]
             results.penetration[env, member] = penetration[i]
             results.normal[env, member] = normal_W
             results.normal_force[env, member] = part * wrench.normal_force
@@ -180,14 +182,14 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
             total.torque_1 += part * wrench.torque_1
             total.torque_2 += part * wrench.torque_2
         if count == 0:
-            # Only a place outside a boundary is within reach.
+            # Only a position outside a boundary is within reach.
             contacts.status[env, contact] = OPEN
             contacts.penetration[env, contact] = real(0.0)
             contacts.gap[env, contact] = real(0.0)
         write_sums(contacts, results, env, contact, item, minima.found, total)
         return total
 
-    # Without unrolling: the loop over places contains the whole evaluation of a contact.
+    # Without unrolling: the loop over slots contains the whole evaluation of a contact.
     @unique_kernel(unrolled=1)
     def minima_force(
         launch: LaunchRange,

@@ -5,7 +5,7 @@ import math
 from typing import NamedTuple
 
 import warp as wp
-from warpcontact.kernels.contact.minima_records import minima_structs, place_count
+from warpcontact.kernels.contact.minima_records import minima_structs, slot_count
 from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.narrowphase import closest_point, distance_minima
 from warpcontact.kernels.types import IGNORES_BOUNDARY, structs
@@ -21,17 +21,17 @@ class Functions(NamedTuple):
     center_arm: wp.Function
     #: ``(set_frames, arm_W)``: center of the sphere, in the frame and unit of the mesh.
     center_in_mesh: wp.Function
-    #: ``(model, set_frames, contacts, env, contact, p, reach, distance, normal, foot, rows)``: finds the minima within
+    #: ``(model, set_frames, contacts, env, contact, p, reach, distance, normal, position, rows)``: finds the minima within
     #: ``reach`` [m] of a contact whose status is CONTACT; the last four arguments and the result are those of
     #: ``distance_minima.find_minima``. The normal of the closest point is written, too.
     find_minima: wp.Function
-    #: ``(model, set_frames, contacts, env, contact, p, normal, foot, is_closest)``: point K of a minimum relative to the
+    #: ``(model, set_frames, contacts, env, contact, p, normal, position, is_closest)``: point K of a minimum relative to the
     #: origin of the body of the sphere, W [m].
     contact_arm: wp.Function
-    #: ``(history, env, first, normal, foot, count, place)``: finds the place of each minimum. ``first`` is the index of the
-    #: first place of the contact, ``place`` [room] gets the result. A minimum keeps its place if it and the minimum there
-    #: are closest to each other among those with similar normals. Others get an empty place.
-    match_places: wp.Function
+    #: ``(history, env, first, normal, position, count, slot)``: finds the slot of each minimum. ``first`` is the index of the
+    #: first slot of the contact, ``slot`` [room] gets the result. A minimum keeps its slot if it and the minimum there
+    #: are closest to each other among those with similar normals. Others get an empty slot.
+    match_slots: wp.Function
 
 
 @functools.cache
@@ -40,52 +40,52 @@ def functions(real: type, room: int) -> Functions:
     t = structs(real)
     vec3, Model, Contacts = t.vec3, t.Model, t.Contacts
     MinimaHistory = minima_structs(real).MinimaHistory
-    places = place_count(room)
+    slots = slot_count(room)
     SetFrames = closest_point.functions(real, False, closest_point.DETECT_ALL).SetFrames
     find_in_mesh = distance_minima.functions(real, room).find_minima
     similar = wp.constant(real(SIMILAR))
 
     @wp.func
-    def separation(history: MinimaHistory, env: int, member: int, normal: vec3, foot: vec3):
-        """Returns the distance of a minimum from that of a place in the last step [mesh unit]; ∞: not the same wall."""
+    def separation(history: MinimaHistory, env: int, member: int, normal: vec3, position: vec3):
+        """Returns the distance of a minimum from that of a slot in the last step [mesh unit]; ∞: not the same wall."""
         if history.entry_speed[env, member] < real(0.0):
             return real(wp.inf)
         if wp.dot(history.last_normal[env, member], normal) < similar:
             return real(wp.inf)
-        return wp.length(history.last_foot[env, member] - foot)
+        return wp.length(history.last_position[env, member] - position)
 
     @wp.func
-    def match_places(
+    def match_slots(
         history: MinimaHistory,
         env: int,
         first: int,
         normal: wp.array(dtype=vec3),
-        foot: wp.array(dtype=vec3),
+        position: wp.array(dtype=vec3),
         count: int,
-        place: wp.array(dtype=wp.int32),
+        slot: wp.array(dtype=wp.int32),
     ):
         for i in range(count):
             best = wp.int32(-1)
             least = real(wp.inf)
-            for candidate in range(wp.static(places)):
-                apart = separation(history, env, first + candidate, normal[i], foot[i])
+            for candidate in range(wp.static(slots)):
+                apart = separation(history, env, first + candidate, normal[i], position[i])
                 if apart < least:
                     least = apart
                     best = candidate
             if best >= 0:
                 for j in range(count):
                     if j != i:
-                        apart = separation(history, env, first + best, normal[j], foot[j])
+                        apart = separation(history, env, first + best, normal[j], position[j])
                         if apart < least or (apart == least and j < i):
                             best = -1
                             break
-            place[i] = best
+            slot[i] = best
         empty = wp.int32(0)
         for i in range(count):
-            if place[i] < 0:
+            if slot[i] < 0:
                 while history.entry_speed[env, first + empty] >= real(0.0):
                     empty += 1
-                place[i] = empty
+                slot[i] = empty
                 empty += 1
 
     @wp.func
@@ -107,7 +107,7 @@ def functions(real: type, room: int) -> Functions:
         reach: real,
         distance: wp.array(dtype=real),
         normal: wp.array(dtype=vec3),
-        foot: wp.array(dtype=vec3),
+        position: wp.array(dtype=vec3),
         rows: wp.array(dtype=wp.int32),
     ):
         option = model.contact_options[contact]
@@ -123,7 +123,7 @@ def functions(real: type, room: int) -> Functions:
             is_inside and (option & closest_point.TRACKED) != 0,
             distance,
             normal,
-            foot,
+            position,
             rows,
         )
         if minima.closest_counts:
@@ -139,14 +139,14 @@ def functions(real: type, room: int) -> Functions:
         contact: int,
         p: vec3,
         normal: vec3,
-        foot: vec3,
+        position: vec3,
         is_closest: bool,
     ):
         # As the narrow phase found it.
         if is_closest:
             return contacts.arm[env, contact]
         geometry = model.contact_geometry[env, contact]
-        to_surface = set_frames.scale * (foot - p)
+        to_surface = set_frames.scale * (position - p)
         to_deepest = -geometry.radius * normal
         to_contact = to_surface + geometry.kappa * (to_deepest - to_surface)
         return center_arm(model, set_frames, env, contact) + set_frames.R_WS * to_contact
@@ -156,5 +156,5 @@ def functions(real: type, room: int) -> Functions:
         center_in_mesh=center_in_mesh,
         find_minima=find_minima,
         contact_arm=contact_arm,
-        match_places=match_places,
+        match_slots=match_slots,
     )

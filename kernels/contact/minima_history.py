@@ -5,7 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.history_variables import memory_struct
-from warpcontact.kernels.contact.minima_records import minima_structs, place_count
+from warpcontact.kernels.contact.minima_records import minima_structs, slot_count
 from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
@@ -17,7 +17,7 @@ def advance(real: type, room: int) -> wp.Kernel:
     t = structs(real)
     Model, ActiveContacts = t.Model, t.ActiveContacts
     _, MinimaHistory, MinimaResults = minima_structs(real)
-    places = place_count(room)
+    slots = slot_count(room)
 
     @unique_kernel()
     def advance_minima(
@@ -40,15 +40,15 @@ def advance(real: type, room: int) -> wp.Kernel:
                 item = active_contacts.contact[env, index] - first_contact
                 if results.count[env, item] > wp.static(room):
                     minima.overflow[env, item] = minima.overflow[env, item] + 1
-                for place in range(wp.static(places)):
-                    member = item * wp.static(places) + place
+                for slot in range(wp.static(slots)):
+                    member = item * wp.static(slots) + slot
                     speed = real(-1.0)
                     if results.touching[env, member] != 0:
                         # At least 0, because negative values mean "no minimum".
                         speed = wp.max(results.approach_speed[env, member], real(0.0))
                         speed = wp.max(minima.entry_speed[env, member], speed)
                         minima.last_normal[env, member] = results.normal_S[env, member]
-                        minima.last_foot[env, member] = results.foot[env, member]
+                        minima.last_position[env, member] = results.position[env, member]
                     minima.entry_speed[env, member] = speed
 
     return advance_minima
@@ -63,7 +63,7 @@ def advance_material_history(formula: type[Formula], real: type, room: int) -> w
     t = structs(real)
     Model, ActiveContacts = t.Model, t.ActiveContacts
     Array = wp.array2d(dtype=memory_struct(formula, real))
-    places = place_count(room)
+    slots = slot_count(room)
 
     @unique_kernel()
     def advance_material_history_of_minima(
@@ -83,9 +83,9 @@ def advance_material_history(formula: type[Formula], real: type, room: int) -> w
                 continue
             start = assume_nonnegative(model.cluster_start[cluster])
             for index in range(start, start + active_contacts.count[env, cluster]):
-                first = wp.static(places) * (active_contacts.contact[env, index] - first_contact)
-                for place in range(wp.static(places)):
-                    history_in[env, first + place] = history_out[env, first + place]
+                first = wp.static(slots) * (active_contacts.contact[env, index] - first_contact)
+                for slot in range(wp.static(slots)):
+                    history_in[env, first + slot] = history_out[env, first + slot]
 
     return advance_material_history_of_minima
 
@@ -95,7 +95,7 @@ def reset(real: type, room: int) -> wp.Kernel:
     """Returns the kernel that removes the minima of selected environments. Launch with dim (env, contact of the group)."""
     _, MinimaHistory, MinimaResults = minima_structs(real)
     vec3 = structs(real).vec3
-    places = place_count(room)
+    slots = slot_count(room)
 
     @unique_kernel(runs_rarely=True)
     def reset_minima(mask: wp.array(dtype=wp.bool), minima: MinimaHistory, results: MinimaResults):
@@ -105,8 +105,8 @@ def reset(real: type, room: int) -> wp.Kernel:
         minima.overflow[env, item] = 0
         results.count[env, item] = 0
         results.force[env, item] = vec3()
-        for place in range(wp.static(places)):
-            member = item * wp.static(places) + place
+        for slot in range(wp.static(slots)):
+            member = item * wp.static(slots) + slot
             minima.entry_speed[env, member] = real(-1.0)
             results.touching[env, member] = 0
             results.penetration[env, member] = real(0.0)

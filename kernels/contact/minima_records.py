@@ -1,7 +1,7 @@
 """Structs of contacts at all local minima of the distance: settings, history and results.
 
-A contact has ``place_count`` places for minima. A minimum keeps its place, and with it its history, from step to step.
-Arrays of places are indexed [env, place_count × contact of the group + place].
+A contact has ``slot_count`` slots for minima. A minimum keeps its slot, and with it its history, from step to step.
+Arrays of slots are indexed [env, slot_count × contact of the group + slot].
 """
 
 import functools
@@ -11,10 +11,10 @@ import warp as wp
 from warpcontact.kernels.types import Struct, structs
 
 
-def place_count(room: int) -> int:
-    """Returns the number of places of a contact with up to ``room`` minima.
+def slot_count(room: int) -> int:
+    """Returns the number of slots of a contact with up to ``room`` minima.
 
-    A new minimum never takes a place that another one had in the last step, whose history would be read.
+    A new minimum never takes a slot that another one had in the last step, whose history would be read.
     """
     return 2 * room
 
@@ -43,22 +43,22 @@ def minima_structs(real: type) -> MinimaStructs:
     class MinimaHistory:
         """Minima of the last accepted step."""
 
-        entry_speed: wp.array2d(dtype=real)  # [env, place] approach speed at entry [m/s]; < 0: no minimum
-        last_normal: wp.array2d(dtype=vec3)  # [env, place] unit, out of the surface, axes of the surface
-        last_foot: wp.array2d(dtype=vec3)  # [env, place] place on the surface, S [mesh unit]
+        entry_speed: wp.array2d(dtype=real)  # [env, slot] approach speed at entry [m/s]; < 0: no minimum
+        last_normal: wp.array2d(dtype=vec3)  # [env, slot] unit, out of the surface, axes of the surface
+        last_position: wp.array2d(dtype=vec3)  # [env, slot] position on the surface, S [mesh unit]
         overflow: wp.array2d(dtype=wp.int32)  # [env, contact] number of steps with more minima than room
 
     @wp.struct
     class MinimaResults:
         """Minima of the current step. Without contact: 0."""
 
-        touching: wp.array2d(dtype=wp.int32)  # [env, place] 1: a minimum in contact
-        approach_speed: wp.array2d(dtype=real)  # [env, place] dδ/dt at K [m/s]
-        normal_S: wp.array2d(dtype=vec3)  # [env, place] unit, out of the surface, axes of the surface
-        foot: wp.array2d(dtype=vec3)  # [env, place] place on the surface, S [mesh unit]
-        penetration: wp.array2d(dtype=real)  # [env, place] [m]
-        normal: wp.array2d(dtype=vec3)  # [env, place] unit, out of the surface, W
-        normal_force: wp.array2d(dtype=real)  # [env, place] with its share [N]
+        touching: wp.array2d(dtype=wp.int32)  # [env, slot] 1: a minimum in contact
+        approach_speed: wp.array2d(dtype=real)  # [env, slot] dδ/dt at K [m/s]
+        normal_S: wp.array2d(dtype=vec3)  # [env, slot] unit, out of the surface, axes of the surface
+        position: wp.array2d(dtype=vec3)  # [env, slot] position on the surface, S [mesh unit]
+        penetration: wp.array2d(dtype=real)  # [env, slot] [m]
+        normal: wp.array2d(dtype=vec3)  # [env, slot] unit, out of the surface, W
+        normal_force: wp.array2d(dtype=real)  # [env, slot] with its share [N]
         count: wp.array2d(dtype=wp.int32)  # [env, contact] number of minima within reach, with those without room
         force: wp.array2d(dtype=vec3)  # [env, contact] total, on the point's body, W [N]
 

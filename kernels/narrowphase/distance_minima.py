@@ -1,6 +1,6 @@
 """Local minima of the distance from the center of a sphere to a mesh, for contact in creases.
 
-A place of the surface is a local minimum if it is the closest point of all faces that contain it: inside a face, or on an
+A position of the surface is a local minimum if it is the closest point of all faces that contain it: inside a face, or on an
 edge or a vertex all faces of which have their closest point there. So a convex edge can be a minimum, and a concave edge
 cannot, but the faces next to it can.
 
@@ -22,7 +22,7 @@ class Functions(NamedTuple):
     """Struct and device functions of local minima."""
 
     Minima: Struct  # numbers of minima
-    #: ``(model, query_mesh, p, reach, row, with_boundary, only_closest, distance, normal, foot, rows)``: finds the
+    #: ``(model, query_mesh, p, reach, row, with_boundary, only_closest, distance, normal, position, rows)``: finds the
     #: minima within ``reach``, and writes them to the last four arguments, see ``find_minima``.
     find_minima: wp.Function
     #: ``(distance, normal, count, i, reach, cosine_one, cosine_none)``: share of minimum ``i`` in its group, 0 to 1.
@@ -59,7 +59,7 @@ def functions(real: type, room: int) -> Functions:
 
     @wp.func
     def has_closest_there(model: Model, row: int, p: vec3, closest: ClosestPoint, tolerance: real):
-        """Returns whether the closest point of face ``row`` is at the same place."""
+        """Returns whether the closest point of face ``row`` is at the same position."""
         other = closest_on_face(model, row, p)
         return wp.length(other.to_point - closest.to_point) <= tolerance
 
@@ -76,7 +76,7 @@ def functions(real: type, room: int) -> Functions:
         """Returns whether the closest point of a face is a local minimum of the distance."""
         if closest.feature == 0:
             return True
-        # Neighbors first, because they reject nearly all places on edges and vertices.
+        # Neighbors first, because they reject nearly all positions on edges and vertices.
         if closest.feature < 4:
             if neighbor_is_nearer(model, closest.feature - 1, p, closest, tolerance):
                 return False
@@ -86,26 +86,26 @@ def functions(real: type, room: int) -> Functions:
                 return False
             if neighbor_is_nearer(model, (corner + 2) % 3, p, closest, tolerance):
                 return False
-        # Then all faces that contain the place, also without a common edge.
+        # Then all faces that contain the position, also without a common edge.
         start = model.query_mesh_face_start[query_mesh]
-        place = p - closest.to_point
-        margin = tolerance + query_error(model, query_mesh, max_coordinate(place), tolerance)
-        found = faces_within(model, query_mesh, place, margin)
+        position = p - closest.to_point
+        margin = tolerance + query_error(model, query_mesh, max_coordinate(position), tolerance)
+        found = faces_within(model, query_mesh, position, margin)
         face = wp.int32(0)
         while wp.mesh_query_next(found, face):
-            if closest_on_face(model, start + face, place).distance <= tolerance:
+            if closest_on_face(model, start + face, position).distance <= tolerance:
                 if not has_closest_there(model, start + face, p, closest, tolerance):
                     return False
         return True
 
     @wp.func
     def is_on_boundary(model: Model, closest: ClosestPoint):
-        """Returns whether a place is on a boundary edge or vertex."""
+        """Returns whether a position is on a boundary edge or vertex."""
         return (wp.int32(model.face_flags[closest.row, closest.feature]) & FEATURE_BOUNDARY) != 0
 
     @wp.func
     def is_outside(model: Model, closest: ClosestPoint):
-        """Returns whether the center is outside a boundary: beside the plane of the place, by more than rounding."""
+        """Returns whether the center is outside a boundary: off the line along the pseudonormal by more than rounding."""
         if not is_on_boundary(model, closest):
             return False
         n = model.face_normal[closest.row, closest.feature]
@@ -124,7 +124,7 @@ def functions(real: type, room: int) -> Functions:
 
     @wp.func
     def is_excluded(model: Model, closest: ClosestPoint, with_boundary: bool):
-        """Returns whether a place on the outer side does not count: not active, or outside a boundary."""
+        """Returns whether a position on the outer side does not count: not active, or outside a boundary."""
         if (wp.int32(model.face_flags[closest.row, closest.feature]) & FEATURE_ACTIVE) == 0:
             return True
         return not with_boundary and is_outside(model, closest)
@@ -140,7 +140,7 @@ def functions(real: type, room: int) -> Functions:
         only_closest: bool,
         distance: wp.array(dtype=real),
         normal: wp.array(dtype=vec3),
-        foot: wp.array(dtype=vec3),
+        position: wp.array(dtype=vec3),
         rows: wp.array(dtype=wp.int32),
     ):
         """Finds the local minima of the distance from ``p``, and returns their numbers.
@@ -153,11 +153,11 @@ def functions(real: type, room: int) -> Functions:
             p: Center of the sphere.
             reach: Its radius.
             row: Face of the closest point of the whole surface.
-            with_boundary: Whether places outside a boundary count.
+            with_boundary: Whether positions outside a boundary count.
             only_closest: Whether other minima do not count.
             distance: Distances, [room], the closest point first if it is not excluded, then in ascending order.
             normal: Unit normals, out of the surface, [room]; that of the closest point is not written.
-            foot: Places on the surface, [room].
+            position: Positions on the surface, [room].
             rows: Faces, [room].
         """
         result = Minima()
@@ -167,7 +167,7 @@ def functions(real: type, room: int) -> Functions:
         count = wp.int32(0)
         if not is_excluded(model, nearest, with_boundary):
             distance[0] = nearest.distance
-            foot[0] = p - nearest.to_point
+            position[0] = p - nearest.to_point
             rows[0] = row
             first = 1
             count = 1
@@ -186,9 +186,9 @@ def functions(real: type, room: int) -> Functions:
                     continue
                 tolerance = rounding(closest, extent)
                 is_same = wp.bool(False)
-                # The same place as seen from another face. Twice the tolerance: both places are rounded.
+                # The same position as seen from another face. Twice the tolerance: both positions are rounded.
                 for i in range(count):
-                    if wp.length(p - closest.to_point - foot[i]) <= real(2.0) * tolerance:
+                    if wp.length(p - closest.to_point - position[i]) <= real(2.0) * tolerance:
                         is_same = True
                 # Then it is the closest point of the surface, which was decided above.
                 if wp.length(closest.to_point - nearest.to_point) <= real(2.0) * tolerance:
@@ -214,11 +214,11 @@ def functions(real: type, room: int) -> Functions:
                 while last > index:
                     distance[last] = distance[last - 1]
                     normal[last] = normal[last - 1]
-                    foot[last] = foot[last - 1]
+                    position[last] = position[last - 1]
                     rows[last] = rows[last - 1]
                     last = last - 1
                 distance[index] = closest.distance
-                foot[index] = p - closest.to_point
+                position[index] = p - closest.to_point
                 rows[index] = closest.row
                 uses_pseudonormal = closest.feature == 0 or closest.distance <= tolerance
                 if not uses_pseudonormal and is_on_boundary(model, closest):

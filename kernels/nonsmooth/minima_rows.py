@@ -10,7 +10,7 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.contact import minima_geometry
 from warpcontact.kernels.contact.impulse_records import record_structs
-from warpcontact.kernels.contact.minima_records import minima_structs, place_count
+from warpcontact.kernels.contact.minima_records import minima_structs, slot_count
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase import closest_point
 from warpcontact.kernels.nonsmooth.build_rows import add_row
@@ -42,7 +42,7 @@ def kernel(real: type, room: int) -> wp.Kernel:
     vec3, Model, State, Contacts, ActiveContacts = t.vec3, t.Model, t.State, t.Contacts, t.ActiveContacts
     r, records = row_structs(real), record_structs(real)
     MinimaSettings, MinimaHistory, MinimaResults = minima_structs(real)
-    places = place_count(room)
+    slots = slot_count(room)
     apart = frames.functions(real).offset_between
     add = add_row(real)
     narrow = closest_point.functions(real, False, closest_point.DETECT_ALL)
@@ -53,7 +53,7 @@ def kernel(real: type, room: int) -> wp.Kernel:
         geometry_functions.center_in_mesh,
         geometry_functions.find_minima,
     )
-    contact_arm, match_places = geometry_functions.contact_arm, geometry_functions.match_places
+    contact_arm, match_slots = geometry_functions.contact_arm, geometry_functions.match_slots
     hysteresis = wp.constant(real(HYSTERESIS))
 
     @wp.func
@@ -66,9 +66,9 @@ def kernel(real: type, room: int) -> wp.Kernel:
         count: int,
         distance: wp.array(dtype=real),
         normal: wp.array(dtype=vec3),
-        place: wp.array(dtype=wp.int32),
+        slot: wp.array(dtype=wp.int32),
     ):
-        """Sets ``place`` of minima to −1 that have similar normals to a preferred one; ``tolerance``: see HYSTERESIS."""
+        """Sets ``slot`` of minima to −1 that have similar normals to a preferred one; ``tolerance``: see HYSTERESIS."""
         if settings.cosine_none >= real(1.0):
             return
         # Preferred minima first. A dropped one drops no others.
@@ -76,7 +76,7 @@ def kernel(real: type, room: int) -> wp.Kernel:
         is_done = wp.zeros(shape=(room,), dtype=wp.int32)
         for i in range(count):
             preference[i] = distance[i]
-            if history.entry_speed[env, first + place[i]] >= real(0.0):
+            if history.entry_speed[env, first + slot[i]] >= real(0.0):
                 preference[i] = distance[i] - tolerance
         for _ in range(count):
             best = wp.int32(-1)
@@ -90,12 +90,12 @@ def kernel(real: type, room: int) -> wp.Kernel:
                 if i != best and is_done[i] == 0:
                     if wp.dot(normal[i], normal[best]) >= settings.cosine_one:
                         is_done[i] = 1
-                        place[i] = -1
+                        slot[i] = -1
             is_done[best] = 1
 
     @wp.func
-    def clear_place(results: MinimaResults, env: int, member: int):
-        """Writes an empty place."""
+    def clear_slot(results: MinimaResults, env: int, member: int):
+        """Writes an empty slot."""
         results.touching[env, member] = 0
         results.approach_speed[env, member] = real(0.0)
         results.penetration[env, member] = real(0.0)
@@ -125,9 +125,9 @@ def kernel(real: type, room: int) -> wp.Kernel:
         recovery: real,
     ):
         """Adds the minima of one contact, and writes its results."""
-        first = item * wp.static(places)
-        for place in range(wp.static(places)):
-            clear_place(results, env, first + place)
+        first = item * wp.static(slots)
+        for slot in range(wp.static(slots)):
+            clear_slot(results, env, first + slot)
         results.count[env, item] = 0
         if contacts.status[env, contact] != CONTACT:
             return
@@ -139,26 +139,28 @@ def kernel(real: type, room: int) -> wp.Kernel:
         p = center_in_mesh(set_frames, center_arm(model, set_frames, env, contact))
         distance = wp.zeros(shape=(room,), dtype=real)
         normal = wp.zeros(shape=(room,), dtype=vec3)
-        foot = wp.zeros(shape=(room,), dtype=vec3)
+        position = wp.zeros(shape=(room,), dtype=vec3)
         faces = wp.zeros(shape=(room,), dtype=wp.int32)
-        placed = wp.zeros(shape=(room,), dtype=wp.int32)
+        slots_of = wp.zeros(shape=(room,), dtype=wp.int32)
         reach = geometry.radius + geometry.contact_tolerance
-        minima = find_minima(model, set_frames, contacts, env, contact, p, reach, distance, normal, foot, faces)
+        minima = find_minima(
+            model, set_frames, contacts, env, contact, p, reach, distance, normal, position, faces
+        )
         results.count[env, item] = minima.found
         if minima.kept == 0:
-            # Only a place outside a boundary is within reach.
+            # Only a position outside a boundary is within reach.
             contacts.status[env, contact] = OPEN
             contacts.penetration[env, contact] = real(0.0)
             contacts.gap[env, contact] = real(0.0)
             return
-        match_places(history, env, first, normal, foot, minima.kept, placed)
+        match_slots(history, env, first, normal, position, minima.kept, slots_of)
         tolerance = hysteresis * geometry.radius * set_frames.inverse_scale
-        drop_similar(history, env, first, settings, tolerance, minima.kept, distance, normal, placed)
-        # In the order of the places: the order of rows affects the iterations of a solver.
-        for place in range(wp.static(places)):
+        drop_similar(history, env, first, settings, tolerance, minima.kept, distance, normal, slots_of)
+        # In the order of the slots: the order of rows affects the iterations of a solver.
+        for slot in range(wp.static(slots)):
             i = wp.int32(-1)
             for j in range(minima.kept):
-                if placed[j] == place:
+                if slots_of[j] == slot:
                     i = j
             if i < 0:
                 continue
@@ -168,11 +170,11 @@ def kernel(real: type, room: int) -> wp.Kernel:
             if not is_closest:
                 normal_W = set_frames.R_WS * normal[i]
                 gap = set_frames.scale * distance[i] - geometry.radius
-            arm_W = contact_arm(model, set_frames, contacts, env, contact, p, normal[i], foot[i], is_closest)
-            member = first + place
+            arm_W = contact_arm(model, set_frames, contacts, env, contact, p, normal[i], position[i], is_closest)
+            member = first + slot
             results.touching[env, member] = 1
             results.normal_S[env, member] = normal[i]
-            results.foot[env, member] = foot[i]
+            results.position[env, member] = position[i]
             results.penetration[env, member] = wp.max(-gap, real(0.0))
             results.normal[env, member] = normal_W
             add(
@@ -191,7 +193,7 @@ def kernel(real: type, room: int) -> wp.Kernel:
         clusters: wp.array(dtype=wp.int32),  # clusters of the group with nonsmooth contacts
         block_count: wp.int32,
         first_contact: wp.int32,  # first contact of the group
-        first_stored: wp.int32,  # stored impulse of the first place of the group
+        first_stored: wp.int32,  # stored impulse of the first slot of the group
         settings: wp.array2d(dtype=MinimaSettings),
         minima: MinimaHistory,
         results: MinimaResults,
@@ -244,7 +246,7 @@ def display(real: type, room: int) -> wp.Kernel:
         records.DisplayedImpulses,
     )
     MinimaResults = minima_structs(real).MinimaResults
-    places = place_count(room)
+    slots = slot_count(room)
 
     @unique_kernel(unrolled=1)
     def show_minima(
@@ -275,8 +277,8 @@ def display(real: type, room: int) -> wp.Kernel:
             # Slip if any minimum slips; stick if all that have an impulse stick.
             mode = wp.int32(MODE_OPEN)
             strongest = real(0.0)
-            for place in range(wp.static(places)):
-                member = (contact - first_contact) * wp.static(places) + place
+            for slot in range(wp.static(slots)):
+                member = (contact - first_contact) * wp.static(slots) + slot
                 normal_force = real(0.0)
                 if stored_impulses[env, first_stored + member].stamp == statistics.step[env]:
                     stored = stored_impulses[env, first_stored + member]

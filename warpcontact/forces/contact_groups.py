@@ -42,7 +42,7 @@ class ContactGroup:
         coefficients: Struct of arrays [env, contact of the group], one per part.
         history_in: Struct of such arrays: history variables of the last accepted step.
         history_out: Struct of such arrays: history variables of the current step, stored if it is accepted.
-        minima: Minima of the contacts, each with its history: ``minima.places`` items per contact in ``history_in`` and
+        minima: Minima of the contacts, each with its history: ``minima.slots`` items per contact in ``history_in`` and
             ``history_out``. ``None``: forces act at the closest point only.
     """
 
@@ -69,7 +69,7 @@ class ContactGroup:
     @property
     def history_count(self) -> int:
         """Number of histories of law and friction models per environment."""
-        return self.count * (1 if self.minima is None else self.minima.places)
+        return self.count * (1 if self.minima is None else self.minima.slots)
 
     @property
     def kernel(self) -> wp.Kernel:
@@ -135,7 +135,7 @@ def make_group(
     coefficients, history_in, history_out = Coefficients(), Memory(), Memory()
     count = sum(contact.count for contact in contacts)
     minima = declare_minima(contacts, room, layout, parameters, real) if room else None
-    histories = count if minima is None else count * minima.places
+    histories = count if minima is None else count * minima.slots
     for part, formula in parts._asdict().items():
         _add_formula(contacts, part, formula, coefficients, couplings, parameters, real)
         for target in (history_in, history_out):

@@ -9,16 +9,16 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.sensor import Sensor, shape_in
-from warpcontact.kernels.contact.minima_records import minima_structs, place_count
+from warpcontact.kernels.contact.minima_records import minima_structs, slot_count
 from warpcontact.scene.elements import GROUP_ANGLE, Contact, check_group_angle
 from warpcontact.storage.allocation_plan import AllocationPlan, per_env
 from warpcontact.storage.parameters import DeviceField, Field, Parameters, pack
 from warpcontact.storage.state_storage import COUNT
 from warpcontact.validation.checks import Array
 
-#: Sensors of the minima of a contact, one value per place. name: (array, unit, meaning)
-PLACE_SENSORS = {
-    "minimum_penetration": ("penetration", "m", "penetration at each minimum, 0 at empty places"),
+#: Sensors of the minima of a contact, one value per slot. name: (array, unit, meaning)
+SLOT_SENSORS = {
+    "minimum_penetration": ("penetration", "m", "penetration at each minimum, 0 at empty slots"),
     "minimum_normal": ("normal", "-", "unit normal at each minimum, out of the surface, world"),
     "minimum_normal_force": ("normal_force", "N", "normal force at each minimum, with its share"),
 }
@@ -41,14 +41,14 @@ class GroupMinima:
 
     Attributes:
         room: Largest number of minima of a contact.
-        places: Number of places of a contact for minima.
+        slots: Number of slots of a contact for minima.
         settings: Owner of the array of parameters [env, contact of the group], ``settings.values``.
         history: Minima of the last accepted step, struct ``MinimaHistory``.
         results: Minima of the current step, struct ``MinimaResults``.
     """
 
     room: int
-    places: int
+    slots: int
     settings: Any
     history: Any
     results: Any
@@ -70,11 +70,11 @@ def declare_minima(
     contacts: list[Contact], room: int, layout: AllocationPlan, parameters: Parameters, real: type
 ) -> GroupMinima:
     """Declares the minima of the contacts of a group, and adds the parameters ``<contact>.group_angle``."""
-    count, places = sum(contact.count for contact in contacts), place_count(room)
+    count, slots = sum(contact.count for contact in contacts), slot_count(room)
     MinimaSettings, MinimaHistory, MinimaResults = minima_structs(real)
-    each, of_places = per_env(count), per_env(count * places)
-    history = layout.struct("contacts", MinimaHistory, of_places, ranges={"overflow": COUNT}, overflow=each)
-    results = layout.struct("contacts", MinimaResults, of_places, transient=True, count=each, force=each)
+    each, of_slots = per_env(count), per_env(count * slots)
+    history = layout.struct("contacts", MinimaHistory, of_slots, ranges={"overflow": COUNT}, overflow=each)
+    results = layout.struct("contacts", MinimaResults, of_slots, transient=True, count=each, force=each)
     settings = _Settings()
     field = Field(np.concatenate([np.tile(contact.group_angle, (contact.count, 1)) for contact in contacts]))
 
@@ -88,7 +88,7 @@ def declare_minima(
         items = slice(start, start + contact.count)
         start = items.stop
         _add_angle(contact, field, items, device_field, parameters)
-    return GroupMinima(room, places, settings, history, results)
+    return GroupMinima(room, slots, settings, history, results)
 
 
 def _add_angle(
@@ -119,16 +119,16 @@ def minima_sensors(contact: Contact, minima: GroupMinima, first: int, several: i
         first: Index of its first item in the group.
         several: Number of its items; 0: a single point, without an item axis.
     """
-    places = contact.count * minima.places
-    of_places = slice(first * minima.places, first * minima.places + places)
-    for key, (attribute, unit, meaning) in PLACE_SENSORS.items():
+    slots = contact.count * minima.slots
+    of_slots = slice(first * minima.slots, first * minima.slots + slots)
+    for key, (attribute, unit, meaning) in SLOT_SENSORS.items():
         yield Sensor(
             f"{contact.name}.{key}",
             unit,
             meaning,
-            _column(minima, "results", attribute, of_places),
+            _column(minima, "results", attribute, of_slots),
             needs=("contacts",),
-            items=places,
+            items=slots,
             shape=shape_in(minima.results, attribute),
         )
     own: int | slice = slice(first, first + contact.count) if several else first

@@ -106,7 +106,7 @@ def test_checkpoint_restores_the_history_of_each_wall(tmp_path, device):
     assert (sims[0].model.sensor("touch.minimum_count") == 2).all()
 
 
-def test_environments_have_their_own_parameters_and_the_same_bits_alone(device):
+def test_environment_with_its_own_parameters_is_bitwise_identical_alone(device):
     def stepped(rows):
         model = ball_in(corner(), DAMPED, envs=len(rows), device=device, precision="float32", gravity=(-6, -7, -G))
         model["ball.position"] = [(0.051 + 0.001 * row, 0.054, 0.053) for row in rows]

@@ -120,14 +120,14 @@ def _in_mesh(part: "DeviceModel", contact: "Contact", env: int, item: int) -> "t
 
 
 class FaceBoxes:
-    """Corners (n, 3, 3) and bounding boxes of the faces of a mesh."""
+    """Vertices (n, 3, 3) and bounding boxes of the faces of a mesh."""
 
     def __init__(self, mesh: "Mesh") -> None:
         self.corners = mesh.vertices[mesh.faces]
         self.lower, self.upper = self.corners.min(axis=1), self.corners.max(axis=1)
 
     def near(self, center: Array, radius: float) -> Array:
-        """Returns the corners of the faces whose boxes are within ``radius`` of ``center`` along each axis."""
+        """Returns the vertices (k, 3, 3) of the faces whose boxes are within ``radius`` of ``center`` along each axis."""
         is_near = np.ones(len(self.corners), dtype=bool)
         for axis in range(3):
             is_near &= self.lower[:, axis] <= center[axis] + radius

@@ -190,7 +190,7 @@ class MeshContact(ForceElement):
         """Returns the number of steps since reset with more minima than room, (envs,) by contact; of a set, the maximum."""
         found = {}
         for contact in self._contacts:
-            group, first = self._place_of(contact)
+            group, first = self._group_of(contact)
             if group.minima is not None:
                 overflow = group.minima.history.overflow.numpy()[:, first : first + contact.count]
                 found[contact.name] = overflow.max(axis=1)
@@ -206,7 +206,7 @@ class MeshContact(ForceElement):
         )
         return RunWarning(text, WarningLevel.CAUTION)
 
-    def _place_of(self, contact: Contact) -> tuple[ContactGroup, int]:
+    def _group_of(self, contact: Contact) -> tuple[ContactGroup, int]:
         """Returns the group of a contact, and the index of its first item there."""
         start = self._table.start_of[contact]
         group = next(one for one in self._table.groups if one.first <= start < one.first + one.count)
@@ -258,13 +258,13 @@ class MeshContact(ForceElement):
             yield Sensor(
                 f"{name}.{key}", unit, meaning, _column("contacts", attribute, own), shape=shape, **options
             )
-        group, first = self._place_of(contact)
+        group, first = self._group_of(contact)
         in_group: int | slice = first if single else slice(first, first + contact.count)
         if group.minima is not None:
             yield from minima_sensors(contact, group.minima, first, several)
-            histories = contact.count * group.minima.places
+            histories = contact.count * group.minima.slots
             in_group, several = (
-                slice(first * group.minima.places, first * group.minima.places + histories),
+                slice(first * group.minima.slots, first * group.minima.slots + histories),
                 histories,
             )
         for part, formula in contact.material.formulas.items():

@@ -1,4 +1,4 @@
-"""Nonsmooth contacts at all local minima of the distance: their places among the stored impulses, and launches."""
+"""Nonsmooth contacts at all local minima of the distance: their slots among the stored impulses, and launches."""
 
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 
 class NonsmoothMinima:
-    """Nonsmooth contacts of a group with several minima per sphere. Each place for a minimum has a stored impulse.
+    """Nonsmooth contacts of a group with several minima per sphere. Each slot for a minimum has a stored impulse.
 
     Args:
         group: The group.
         items: Numbers of the nonsmooth contacts of the group.
         clusters: Numbers of their clusters.
-        first_stored: Number of the stored impulse of the first place of the group.
+        first_stored: Number of the stored impulse of the first slot of the group.
         layout: Allocation plan to which the lists are added.
         purpose: Their purpose, for memory estimates.
     """
@@ -47,8 +47,8 @@ class NonsmoothMinima:
 
     @property
     def stored_count(self) -> int:
-        """Number of stored impulses: one per place of all contacts of the group."""
-        return self.group.count * self.minima.places
+        """Number of stored impulses: one per slot of all contacts of the group."""
+        return self.group.count * self.minima.slots
 
     @property
     def row_count(self) -> int:
