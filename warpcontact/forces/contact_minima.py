@@ -18,7 +18,7 @@ from warpcontact.validation.checks import Array
 
 #: Sensors of the minima of a contact, one value per slot. name: (array, unit, meaning)
 SLOT_SENSORS = {
-    "minimum_penetration": ("penetration", "m", "penetration at each minimum, 0 at empty slots"),
+    "minimum_penetration": ("penetration", "m", "penetration at each minimum, 0 in empty slots"),
     "minimum_normal": ("normal", "-", "unit normal at each minimum, out of the surface, world"),
     "minimum_normal_force": ("normal_force", "N", "normal force at each minimum, with its share"),
 }

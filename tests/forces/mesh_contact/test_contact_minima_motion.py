@@ -165,7 +165,7 @@ def test_rigid_facets_of_a_trough_count_as_one(device):
 
 def test_event_driven_solution_refuses_several_minima(device):
     model = ball_in(corner(), RIGID, device="cpu")
-    with pytest.raises(ValueError, match="touch.minima must be 'nearest'"):
+    with pytest.raises(ValueError, match=r"touch\.minima must be 'nearest'"):
         wc.unilateral.EventDriven(model)
 
 
