@@ -73,7 +73,6 @@ MAX_SPEED = limits("m/s", above=0.0, may_be_infinite=True)
 MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
 
 
-
 def _check_max_minima(name: str, value: int) -> int:
     """Returns ``max_minima``; raises ``ValueError`` if it is out of range."""
     number = checks.integer(f"{name}.max_minima", value)
