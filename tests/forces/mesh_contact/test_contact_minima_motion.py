@@ -193,6 +193,32 @@ def test_run_does_not_warn_of_a_sphere_on_a_convex_body(place, device):
     assert model.sensor("touch.status")[0] == wc.ContactStatus.CONTACT
 
 
+def test_run_warns_of_a_sphere_between_edges_but_not_of_inactive_walls_and_boundaries(device):
+    block = wc.meshes.box((1.0, 1.0, 0.1))
+    sides = [block.vertices + np.array([side * 0.53, 0, -0.05]) for side in (-1, 1)]
+    gap = wc.Mesh(np.concatenate(sides), np.concatenate([block.faces, block.faces + len(block.vertices)]))
+    sheet = wc.Mesh([(0.03, -1, 0), (1, -1, 0), (1, 1, 0), (0.03, 1, 0)], [(0, 1, 2), (0, 2, 3)])
+    other = wc.Mesh(sheet.vertices * [-1, 1, 1], sheet.faces[:, ::-1])
+    sheets = wc.Mesh(
+        np.concatenate([sheet.vertices, other.vertices]), np.concatenate([sheet.faces, other.faces + 4])
+    )
+    # In a slot of 60 mm, the center is 40 mm above the edges.
+    cases = {"edges": (gap, {}), "boundary": (sheets, {"boundary": "outer"}), "no boundary": (sheets, {})}
+    for case, (mesh, options) in cases.items():
+        model = ball_in(mesh, DAMPED, device=device, minima="nearest", **options)
+        model["ball.position"] = (0.001, 0.2, 0.039)
+        texts = run_warnings(wc.Simulation(model, dt=1e-4), 1e-3)
+        assert len(texts) == (0 if case == "no boundary" else 1), case
+    scene = wc.Scene(gravity=(0, 0, 0))
+    walls = scene.add_surface(corner(), active_faces=[0, 1])
+    ball = scene.add_body(1.0, (1, 1, 1), (0.04901, 0.1, 0.049), name="ball")
+    options = {"radius": RADIUS, "search": "active", "name": "touch"}
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), walls, DAMPED, **options)
+    model = scene.build(envs=1, device=device, precision="float64")
+    assert run_warnings(wc.Simulation(model, dt=1e-4), 1e-3) == []
+    assert model.sensor("touch.status")[0] == wc.ContactStatus.CONTACT
+
+
 def test_run_warns_of_more_minima_than_room(device):
     model = ball_in(trough(24), device=device)
     model["ball.position"] = (0, 0, -1.5e-3)

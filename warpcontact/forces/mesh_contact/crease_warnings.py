@@ -8,6 +8,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpcontact.algebra.vectors import cross, dot, inverse, norm, transform_points
 from warpcontact.forces.contact_warnings import is_nonsmooth
@@ -17,7 +18,6 @@ from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from warpcontact.meshes import Mesh
     from warpcontact.model.environments import Environments
     from warpcontact.model.model import DeviceModel
     from warpcontact.scene.elements import Contact
@@ -29,8 +29,9 @@ CREASE_ANGLE = math.radians(40.0)
 ROUNDING = 1.0e-5
 # Nonsmooth contacts of a sphere at rest open and close. Walls count up to this distance, relative to the radius.
 NONSMOOTH_REACH = 1.001
-# Largest number of spheres that are checked per contact and model, and of distances of faces.
-MAX_SPHERES, MAX_DISTANCES = 16, 1_000_000
+# Largest number of spheres that are checked per contact and device, evenly chosen among those in contact, and of bounding
+# boxes that are compared with them.
+MAX_SPHERES, MAX_DISTANCES = 64, 1_000_000
 
 
 def crease_warnings(model: "Environments", start_of: "Mapping[Contact, int]") -> list[RunWarning]:
@@ -74,18 +75,20 @@ def _angles(part: "DeviceModel", contact: "Contact", start: int, first_env: int)
     reach = NONSMOOTH_REACH if is_nonsmooth(contact.name, part.nonsmooth) else 1.0
     found, faces = [], {}
     for env, item in zip(envs.tolist(), items.tolist(), strict=True):
-        mesh, center, unit = _in_mesh(part, contact, env, item)
+        number, center, unit = _in_mesh(part, contact, env, item)
         if np.isfinite(center).all():
-            if mesh not in faces:
-                faces[mesh] = FaceBoxes(mesh)
-            angle = widest_angle(faces[mesh], center, reach * radii[env, item] / unit)
+            if number not in faces:
+                mesh, active = contact.surface.meshes[number], contact.surface.active[number]
+                faces[number] = FaceBoxes(mesh.vertices[mesh.faces[active]])
+            with_boundary = contact.boundary == "outer"
+            angle = widest_angle(faces[number], center, reach * radii[env, item] / unit, with_boundary)
             if angle > CREASE_ANGLE:
                 found.append((first_env + env, angle))
     return found
 
 
-def _in_mesh(part: "DeviceModel", contact: "Contact", env: int, item: int) -> "tuple[Mesh, Array, float]":
-    """Returns the mesh, the center of a sphere in its frame (3,) and the scale [m per unit]."""
+def _in_mesh(part: "DeviceModel", contact: "Contact", env: int, item: int) -> tuple[int, Array, float]:
+    """Returns the number of the mesh, the center of a sphere in its frame (3,) and the scale [m per unit]."""
     points, surface = contact.points, contact.surface
 
     def value(name: str, own: int = 0) -> Array:
@@ -115,15 +118,18 @@ def _in_mesh(part: "DeviceModel", contact: "Contact", env: int, item: int) -> "t
         place = transform_points(place - position, np.zeros(3), inverse(orientation))
     unit = float(value(f"{surface.name}.scale"))
     number = int(value(f"{surface.name}.mesh")) if len(surface.meshes) > 1 else 0
-    mesh = surface.meshes[number]
-    return mesh, place[0] / unit, unit
+    return number, place[0] / unit, unit
 
 
 class FaceBoxes:
-    """Vertices (n, 3, 3) and bounding boxes of the faces of a mesh."""
+    """Faces with their bounding boxes.
 
-    def __init__(self, mesh: "Mesh") -> None:
-        self.corners = mesh.vertices[mesh.faces]
+    Args:
+        corners: Vertices of the faces (n, 3, 3).
+    """
+
+    def __init__(self, corners: Array) -> None:
+        self.corners = corners
         self.lower, self.upper = self.corners.min(axis=1), self.corners.max(axis=1)
 
     def near(self, center: Array, radius: float) -> Array:
@@ -135,21 +141,22 @@ class FaceBoxes:
         return np.asarray(self.corners[is_near])
 
 
-def widest_angle(faces: FaceBoxes, center: Array, radius: float) -> float:
+def widest_angle(faces: FaceBoxes, center: Array, radius: float, with_boundary: bool) -> float:
     """Returns the largest angle between the directions to local minima of the distance to a mesh within a sphere [rad].
 
     Only minima with the center on the outer side count; 0 if there are fewer than two.
 
     Args:
-        faces: The faces of the mesh.
+        faces: Its active faces.
         center: Center of the sphere, in the frame of the mesh (3,).
         radius: Its radius, in the unit of the mesh.
+        with_boundary: Whether boundary edges count.
     """
     corners = faces.near(center, radius) - center
     if not len(corners):
         return 0.0
     tolerance = ROUNDING * (np.abs(corners).max() + np.abs(center).max())
-    closest = closest_to_origin(corners)
+    closest, in_face = closest_to_origin(corners)
     distance = norm(closest)
     normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     outer = -dot(closest, normal) > 0.0
@@ -157,7 +164,9 @@ def widest_angle(faces: FaceBoxes, center: Array, radius: float) -> float:
     directions = []
     for i in chosen:
         # Faces that contain the place have it as their closest point, if it is a minimum.
-        there = norm(closest_to_origin(corners - closest[i])) <= tolerance
+        there = norm(closest_to_origin(corners - closest[i])[0]) <= tolerance
+        if not with_boundary and not in_face[i] and there.sum() == 1:
+            continue
         if (norm(closest[there] - closest[i]) <= tolerance).all():
             directions.append(-closest[i] / distance[i])
     if len(directions) < 2:
@@ -166,20 +175,20 @@ def widest_angle(faces: FaceBoxes, center: Array, radius: float) -> float:
     return float(np.arccos(np.clip(cosines.min(), -1.0, 1.0)))
 
 
-def closest_to_origin(corners: Array) -> Array:
-    """Returns the points of triangles (n, 3, 3) that are closest to the origin, (n, 3)."""
+def closest_to_origin(corners: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Returns the points of triangles (n, 3, 3) that are closest to the origin, (n, 3), and whether they are inside (n,)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = cross(b - a, c - a)
     area = np.maximum(dot(normal, normal), np.finfo(np.float64).tiny)[:, None]
-    foot = (dot(a, normal)[:, None] / area) * normal
+    projection = (dot(a, normal)[:, None] / area) * normal
     inside = np.ones(len(corners), dtype=bool)
     best, least = a, np.full(len(corners), np.inf)
     for start, end in ((a, b), (b, c), (c, a)):
         edge = end - start
-        inside &= dot(cross(edge, foot - start), normal) > 0.0
+        inside &= dot(cross(edge, projection - start), normal) > 0.0
         along = np.clip(-dot(start, edge) / np.maximum(dot(edge, edge), np.finfo(np.float64).tiny), 0.0, 1.0)
         point = start + along[:, None] * edge
         square = dot(point, point)
         best = np.where((square < least)[:, None], point, best)
         least = np.minimum(least, square)
-    return np.where(inside[:, None], foot, best)
+    return np.where(inside[:, None], projection, best), inside
