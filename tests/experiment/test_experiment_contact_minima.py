@@ -28,7 +28,10 @@ STUDY = {
             "max_minima": 3,
         }
     ],
-    "variation": {"touch.law.stiffness": {"values": [1e4, 2e4]}},
+    "variation": {
+        "touch.law.stiffness": {"values": [1e4, 2e4]},
+        "touch.group_angle": {"values": [[0.0, 0.5], [0.0, 0.0]]},
+    },
     "record": {"every": 0.001, "sensors": ["touch.force", "touch.minimum_normal_force", "touch.minimum_overflow"]},
 }
 
@@ -51,6 +54,11 @@ def test_minima_of_an_experiment_are_varied_recorded_and_stored(folder, device):
         assert load.shape == (2, 6)
         np.testing.assert_allclose(np.sort(load)[:, -2:], depth * np.array([[1e4] * 2, [2e4] * 2]), rtol=1e-3)
         assert (one["touch.minimum_overflow"].values == 0).all()
+        angles = one["touch.group_angle"]
+        assert angles.dims == ("env", "limit")
+        np.testing.assert_array_equal(angles.sel(limit="second"), [0.5, 0.0])
+    assert wc.check_usd(wc.export_usd(recording, folder / "run.usdc")) == []
+    assert "touch.group_angle" in " ".join(map(str, run.to_dataframe().columns))
 
 
 @pytest.mark.parametrize(

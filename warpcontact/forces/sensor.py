@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from warpcontact.storage.model_arrays import ModelArrays
 
-#: Name and labels of the last axis of vectors (3) and quaternions (4).
-AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
+#: Name and labels of the last axis of pairs of limits (2), vectors (3) and quaternions (4).
+AXES = {2: ("limit", ["first", "second"]), 3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
 # At each status a sensor has the value of the table "Status and sensors" in docs/contact.md: ``gap`` is the signed
 # distance, also at WRONG_SIDE, where it is negative without contact.

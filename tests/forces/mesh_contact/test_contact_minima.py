@@ -152,7 +152,7 @@ def test_wall_next_to_a_boundary_carries_although_the_boundary_is_closer(device)
 
 def test_deepest_minima_act_if_there_are_more_than_room(device):
     position = [(0.0491, 0.0494, 0.0497)]
-    for room, carried in ((1, (9, 0, 0)), (2, (9, 6, 0)), (3, (9, 6, 3))):
+    for room, carried in ((2, (9, 6, 0)), (4, (9, 6, 3))):
         model = ball_in(corner(), device=device, max_minima=room)
         model["ball.position"] = position[0]
         np.testing.assert_allclose(model.sensor("touch.force"), [carried], atol=1e-9)

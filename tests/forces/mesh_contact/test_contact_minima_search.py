@@ -76,7 +76,7 @@ def test_minima_on_random_surfaces_are_those_of_a_search_by_definition(precision
     surface = scene.add_surface(meshes, name="surface")
     ball = scene.add_body(1.0, (1, 1, 1), name="ball")
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS))
-    options = {"radius": RADIUS, "minima": "all", "max_minima": 32, "group_angle": (0, 0), "name": "touch"}
+    options = {"radius": RADIUS, "minima": "all", "max_minima": 64, "group_angle": (0, 0), "name": "touch"}
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), surface, material, **options)
     model = scene.build(envs=2 * count, device=device, precision=precision)
     model["surface.mesh"] = np.repeat([0, 1], count)
