@@ -54,6 +54,7 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
         geometry_functions.find_minima,
     )
     contact_arm, match_slots = geometry_functions.contact_arm, geometry_functions.match_slots
+    world_position = geometry_functions.world_position
     share = distance_minima.functions(real, room).share
 
     @wp.func
@@ -82,6 +83,7 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
         item: int,
         found: int,
         total: ContactWrench,
+        center: wp.vec3d,
     ):
         """Writes the number of minima and the sums of their forces."""
         contacts.approach_speed[env, contact] = total.approach_speed
@@ -91,6 +93,7 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
         contacts.torque[env, contact] = total.torque
         results.count[env, item] = found
         results.force[env, item] = total.force
+        results.center[env, item] = center
 
     @wp.func
     def evaluate_minima(
@@ -120,7 +123,7 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
         if contacts.status[env, contact] != CONTACT:
             for slot in range(wp.static(slots)):
                 clear_slot(results, history_out, env, first + slot, armed, dt)
-            write_sums(contacts, results, env, contact, item, 0, total)
+            write_sums(contacts, results, env, contact, item, 0, total, wp.vec3d())
             return total
         geometry = model.contact_geometry[env, contact]
         radius = geometry.radius
@@ -145,6 +148,7 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
                 count = i + 1
         match_slots(history, env, first, normal, position, count, slots_of)
         cosines = settings[env, item]
+        moment = vec3()
         # In the order of the slots, so that the sum does not depend on which of two minima is deeper by rounding.
         for slot in range(wp.static(slots)):
             member = first + slot
@@ -175,6 +179,8 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
             if i == 0:
                 total.approach_speed = wrench.approach_speed
                 total.slip_speed = wrench.slip_speed
+            results.arm[env, member] = arm
+            moment += (part * wrench.normal_force) * arm
             total.normal_force += part * wrench.normal_force
             total.friction_force += part * wrench.friction_force
             total.torque += part * wrench.torque
@@ -186,7 +192,14 @@ def kernel(contact_model: ContactModel, real: type, room: int, has_joints: bool 
             contacts.status[env, contact] = OPEN
             contacts.penetration[env, contact] = real(0.0)
             contacts.gap[env, contact] = real(0.0)
-        write_sums(contacts, results, env, contact, item, minima.found, total)
+        center = wp.vec3d()
+        if count > 0:
+            # The point of the closest minimum if the forces have no center.
+            mean_arm = results.arm[env, first + slots_of[0]]
+            if total.normal_force > real(0.0):
+                mean_arm = moment / total.normal_force
+            center = world_position(model, state, env, contact, mean_arm)
+        write_sums(contacts, results, env, contact, item, minima.found, total, center)
         return total
 
     # Without unrolling: the loop over slots contains the whole evaluation of a contact.

@@ -5,6 +5,7 @@ import math
 from typing import NamedTuple
 
 import warp as wp
+from warpcontact.kernels import frames
 from warpcontact.kernels.contact.minima_records import minima_structs, slot_count
 from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
 from warpcontact.kernels.narrowphase import closest_point, distance_minima
@@ -28,6 +29,8 @@ class Functions(NamedTuple):
     #: ``(model, set_frames, contacts, env, contact, p, normal, position, is_closest)``: point K of a minimum relative to the
     #: origin of the body of the sphere, W [m].
     contact_arm: wp.Function
+    #: ``(model, state, env, contact, arm)``: position of the end of ``arm`` from the body of the sphere, W, float64 [m].
+    world_position: wp.Function
     #: ``(history, env, first, normal, position, count, slot)``: finds the slot of each minimum. ``first`` is the index of the
     #: first slot of the contact, ``slot`` [room] gets the result. A minimum keeps its slot if it and the minimum there
     #: are closest to each other among those with similar normals. Others get an empty slot.
@@ -38,7 +41,8 @@ class Functions(NamedTuple):
 def functions(real: type, room: int) -> Functions:
     """Returns the device functions for up to ``room`` minima of a sphere."""
     t = structs(real)
-    vec3, Model, Contacts = t.vec3, t.Model, t.Contacts
+    vec3, Model, State, Contacts = t.vec3, t.Model, t.State, t.Contacts
+    to_float64 = frames.functions(real).to_float64
     MinimaHistory = minima_structs(real).MinimaHistory
     slots = slot_count(room)
     SetFrames = closest_point.functions(real, False, closest_point.DETECT_ALL).SetFrames
@@ -151,10 +155,22 @@ def functions(real: type, room: int) -> Functions:
         to_contact = to_surface + geometry.kappa * (to_deepest - to_surface)
         return center_arm(model, set_frames, env, contact) + set_frames.R_WS * to_contact
 
+    @wp.func
+    def world_position(model: Model, state: State, env: int, contact: int, arm: vec3):
+        point = assume_nonnegative(model.contact_point[contact])
+        body = model.point_body[point]
+        if body < 0:
+            return to_float64(model.point_anchor[env, point]) + to_float64(arm)
+        origin_W = to_float64(state.body_position[env, body]) + to_float64(
+            state.body_position_remainder[env, body]
+        )
+        return origin_W + to_float64(arm)
+
     return Functions(
         center_arm=center_arm,
         center_in_mesh=center_in_mesh,
         find_minima=find_minima,
         contact_arm=contact_arm,
+        world_position=world_position,
         match_slots=match_slots,
     )

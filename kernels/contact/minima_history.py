@@ -105,6 +105,7 @@ def reset(real: type, room: int) -> wp.Kernel:
         minima.overflow[env, item] = 0
         results.count[env, item] = 0
         results.force[env, item] = vec3()
+        results.center[env, item] = wp.vec3d()
         for slot in range(wp.static(slots)):
             member = item * wp.static(slots) + slot
             minima.entry_speed[env, member] = real(-1.0)

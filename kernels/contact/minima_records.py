@@ -56,10 +56,12 @@ def minima_structs(real: type) -> MinimaStructs:
         approach_speed: wp.array2d(dtype=real)  # [env, slot] dδ/dt at K [m/s]
         normal_S: wp.array2d(dtype=vec3)  # [env, slot] unit, out of the surface, axes of the surface
         position: wp.array2d(dtype=vec3)  # [env, slot] position on the surface, S [mesh unit]
+        arm: wp.array2d(dtype=vec3)  # [env, slot] from the origin of the point's body to K, W [m]
         penetration: wp.array2d(dtype=real)  # [env, slot] [m]
         normal: wp.array2d(dtype=vec3)  # [env, slot] unit, out of the surface, W
         normal_force: wp.array2d(dtype=real)  # [env, slot] with its share [N]
         count: wp.array2d(dtype=wp.int32)  # [env, contact] number of minima within reach, with those without room
         force: wp.array2d(dtype=vec3)  # [env, contact] total, on the point's body, W [N]
+        center: wp.array2d(dtype=wp.vec3d)  # [env, contact] mean of the points K, weighted by normal force, W [m]
 
     return MinimaStructs(MinimaSettings=MinimaSettings, MinimaHistory=MinimaHistory, MinimaResults=MinimaResults)

@@ -175,6 +175,7 @@ def kernel(real: type, room: int) -> wp.Kernel:
             results.touching[env, member] = 1
             results.normal_S[env, member] = normal[i]
             results.position[env, member] = position[i]
+            results.arm[env, member] = arm_W
             results.penetration[env, member] = wp.max(-gap, real(0.0))
             results.normal[env, member] = normal_W
             add(
@@ -238,7 +239,8 @@ def display(real: type, room: int) -> wp.Kernel:
     Items: nonsmooth contacts of the group.
     """
     t = structs(real)
-    vec3, Contacts = t.vec3, t.Contacts
+    vec3, Model, State, Contacts = t.vec3, t.Model, t.State, t.Contacts
+    world_position = minima_geometry.functions(real, room).world_position
     records = record_structs(real)
     StoredImpulses, StepStatistics, DisplayedImpulses = (
         records.StoredImpulses,
@@ -253,6 +255,8 @@ def display(real: type, room: int) -> wp.Kernel:
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
+        model: Model,
+        state: State,
         items: wp.array(dtype=wp.int32),  # [item] nonsmooth contacts of the group
         first_contact: wp.int32,
         first_stored: wp.int32,
@@ -272,6 +276,7 @@ def display(real: type, room: int) -> wp.Kernel:
             across = vec3()
             couple = vec3()
             along = real(0.0)
+            moment = vec3()
             approach_speed = real(0.0)
             slip_speed = real(0.0)
             # Slip if any minimum slips; stick if all that have an impulse stick.
@@ -289,6 +294,7 @@ def display(real: type, room: int) -> wp.Kernel:
                         across += stored.impulse - own * stored.normal
                         couple += stored.couple
                         along += own
+                        moment += own * results.arm[env, member]
                         if own > strongest:
                             strongest = own
                             approach_speed = stored.approach_speed
@@ -304,5 +310,9 @@ def display(real: type, room: int) -> wp.Kernel:
             contacts.approach_speed[env, contact] = approach_speed
             contacts.slip_speed[env, contact] = slip_speed
             results.force[env, contact - first_contact] = per_second * impulse
+            center = wp.vec3d()
+            if along > real(0.0):
+                center = world_position(model, state, env, contact, moment / along)
+            results.center[env, contact - first_contact] = center
 
     return show_minima

@@ -75,11 +75,11 @@ def test_contact_at_several_minima_has_one_arrow_of_the_total_force(device, tmp_
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
     centre = scene.add_point(ball, (0, 0, 0))
     scene.add_contact(centre, walls, material, radius=0.1, minima="all", name="touch")
-    keys = ("force", "point", "normal_force", "normal")
+    keys = ("force", "center", "normal_force", "normal", "point")
     recording = wc.Simulation(scene.build(1, device, "float64"), 1e-3).run(2e-3, [f"touch.{key}" for key in keys])
     stage = export(recording, tmp_path, force_scale=0.01)
     start, force = arrows(stage, "/World/env_0/contacts/touch/force", 1)
-    np.testing.assert_allclose(start, recording["touch.point"].values[1], atol=1e-6)
+    np.testing.assert_allclose(start, recording["touch.center"].values[1], atol=1e-6)
     np.testing.assert_allclose(force / 0.01, recording["touch.force"].values[1], atol=1e-3)
     assert force[0, 2] > 0.1
     # A normal alone has no direction for several forces.

@@ -68,14 +68,14 @@ class ForceLines:
     def of(cls, replay: Replay, contact: Contact | ShapeContact) -> "ForceLines | None":
         """Returns the lines, or ``None`` unless normal force, normal and point were recorded.
 
-        A contact at several minima has several normals, and needs force and point instead.
+        A contact at several minima has several normals, and needs force and center instead.
         """
         shape = (len(replay.codes), len(replay.envs), contact.count)
         if isinstance(contact, Contact) and contact.minima == "all":
-            total, point = (replay.series(f"{contact.name}.{key}") for key in ("force", "point"))
-            if total is None or point is None:
+            total, center = (replay.series(f"{contact.name}.{key}") for key in ("force", "center"))
+            if total is None or center is None:
                 return None
-            start, each = (values.astype(np.float64).reshape(*shape, 3) for values in (point, total))
+            start, each = (values.astype(np.float64).reshape(*shape, 3) for values in (center, total))
             return cls(contact, start, each)
         parts = {}
         for key in ("normal_force", "normal", "point", "friction_force"):

@@ -25,6 +25,12 @@ SLOT_SENSORS = {
 #: Sensors of a contact with minima.
 CONTACT_SENSORS = {
     "force": ("results", "force", "N", "sum of the forces at all minima, on the point's body, world"),
+    "center": (
+        "results",
+        "center",
+        "m",
+        "mean of the points K weighted by normal force, world; 0 without contact",
+    ),
     "minimum_count": ("results", "count", "-", "number of minima within reach, also of those beyond max_minima"),
     "minimum_overflow": (
         "history",
@@ -74,7 +80,9 @@ def declare_minima(
     MinimaSettings, MinimaHistory, MinimaResults = minima_structs(real)
     each, of_slots = per_env(count), per_env(count * slots)
     history = layout.struct("contacts", MinimaHistory, of_slots, ranges={"overflow": COUNT}, overflow=each)
-    results = layout.struct("contacts", MinimaResults, of_slots, transient=True, count=each, force=each)
+    results = layout.struct(
+        "contacts", MinimaResults, of_slots, transient=True, count=each, force=each, center=each
+    )
     settings = _Settings()
     field = Field(np.concatenate([np.tile(contact.group_angle, (contact.count, 1)) for contact in contacts]))
 

@@ -133,6 +133,8 @@ def test_rigid_sphere_rests_on_both_walls(device):
     load, normal = model.sensor("touch.minimum_normal_force")[0], model.sensor("touch.minimum_normal")[0]
     assert (load > 0).sum() == 2
     across = model.sensor("touch.friction_force")[0]
+    # The mean of two points on walls at 45°.
+    np.testing.assert_allclose(model.sensor("touch.center")[0], [0, 0.01, RADIUS / math.sqrt(2)], atol=1e-4)
     np.testing.assert_allclose(load @ normal + across, [0, 0, MASS * G], atol=1e-5)
 
 

@@ -77,6 +77,8 @@ class NonsmoothMinima:
         return plan.prepare(
             minima_rows.display(self.group.real, self.minima.room),
             self._count,
+            model=plan.model.arrays.model,
+            state=plan.model.arrays.state,
             items=self.items,
             first_contact=self.group.first,
             first_stored=self.first_stored,

@@ -21,7 +21,7 @@ from warpcontact.visualize.viewer.values import ParameterText, rows_of, value_te
 MAX_FIELDS = 8
 
 # Sensors recorded for each contact: drawn as arrows and listed as values.
-_CONTACT_SENSORS = ("gap", "normal_force", "normal", "point", "friction_force", "force")
+_CONTACT_SENSORS = ("gap", "normal_force", "normal", "point", "friction_force", "force", "center")
 #: Fraction of the frame time that is spent in steps.
 STEPPING = 0.7
 #: Growth of the arrow scale per frame after a large force.
