@@ -195,7 +195,14 @@ def test_sensors_of_minima_describe_each_wall(device):
     points = np.array([0.049, 0.0495, 0.06]) - (RADIUS - depth / 2)[:, None] * normal
     np.testing.assert_allclose(model.sensor("touch.center")[0], load @ points / 15.0, atol=1e-12)
     model["ball.position"] = (0.3, 0.3, 0.3)
-    for name in ("minimum_penetration", "minimum_normal_force", "minimum_normal", "force", "center", "minimum_count"):
+    for name in (
+        "minimum_penetration",
+        "minimum_normal_force",
+        "minimum_normal",
+        "force",
+        "center",
+        "minimum_count",
+    ):
         model.reset()
         assert not model.sensor(f"touch.{name}").any()
 
