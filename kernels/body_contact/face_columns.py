@@ -313,9 +313,7 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                 end_exit = leaf.end_face
             for exit in range(first_exit, end_exit):
                 is_entry = wp.bool(False)
-                if side.by_planes:
-                    frame = with_exit(frame, planes, exit)
-                else:
+                if not side.by_planes:
                     is_entry = not is_exit(geometries, face_plane, exit)
                 # The weight is a polynomial below and above FULL_WEIGHT × D.
                 parts = wp.where(side.half_space, 1, 2)
@@ -334,6 +332,8 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                         polygon = exit_polygon(
                             corners, planes, end_exit - first_exit, base, exit, shallowest, deepest
                         )
+                        if polygon.count > 0:
+                            frame = with_exit(frame, planes, exit)
                     else:
                         polygon = column_polygon(
                             corners, geometries, face_plane, side.other, exit, shallowest, deepest
