@@ -18,7 +18,6 @@ from warpcontact.kernels.body_contact.overlap import (
     overlap_of,
 )
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT, PATCH_SUMS, start_patches
-from warpcontact.kernels.body_contact.patches import functions as patch_functions
 from warpcontact.kernels.body_contact.polygons import CORNER_ROWS
 from warpcontact.kernels.body_contact.records import (
     BodyContactSettings,
@@ -34,7 +33,13 @@ from warpcontact.kernels.body_contact.solids import (
     Solids,
     no_motion,
 )
-from warpcontact.kernels.body_contact.surface_queries import are_apart, is_face_outside, solid_geometry
+from warpcontact.kernels.body_contact.surface_queries import (
+    SolidBoxes,
+    are_apart,
+    are_boxes_apart,
+    is_face_outside,
+    solid_geometry,
+)
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
@@ -74,9 +79,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
     columns = column_functions(contact_model, real, per_area, has_joints)
     relative_motion, store_result = columns.relative_motion, columns.store_result
     add_face = face_columns.add_face(contact_model, real, per_area, has_joints)
-    of_solids = solid_functions.functions(real)
-    pair_pose, are_spheres_apart = of_solids.pair_pose, of_solids.are_spheres_apart
-    clear_history = patch_functions(contact_model.friction, real).clear_history
+    pair_pose = solid_functions.functions(real).pair_pose
 
     @unique_kernel()
     def body_contact_forces(
@@ -88,6 +91,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
         first_end: wp.int32,
         geometries: Geometries,
         solids: Solids,
+        boxes: SolidBoxes,
         pairs: SolidPairs,
         settings: wp.array2d(dtype=BodyContactSettings),
         coefficients: Coefficients,
@@ -115,14 +119,11 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
             contact_status = wp.int32(OPEN)
             if setting.enabled == 0:
                 contact_status = DISABLED
-            is_near = contact_status == OPEN
-            if is_near:
-                is_near = not are_spheres_apart(state, env, geometries, solids, solid_1, solid_2)
+            is_near = contact_status == OPEN and not are_boxes_apart(
+                boxes.box[env, solid_1], boxes.box[env, solid_2]
+            )
             if not is_near and body_contacts.status[env, number] == contact_status:
                 # Readings and wrenches are zero already.
-                if wp.static(has_patches):
-                    for patch in range(PATCH_COUNT):
-                        clear_history(history_out.friction, env, PATCH_COUNT * number + patch, step[env, 0])
                 continue
             first = solid_geometry(geometries, solids.pose[env, solid_1])
             second = solid_geometry(geometries, solids.pose[env, solid_2])
@@ -186,69 +187,3 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
             )  # fmt: skip
 
     return body_contact_forces
-
-
-@functools.cache
-def accept_patches() -> wp.Kernel:
-    """Returns the kernel that stores the patches of accepted steps; items: patches of all pairs."""
-
-    @unique_kernel()
-    def accept_body_contact_patches(
-        launch: LaunchRange, status: wp.array(dtype=wp.int32), patches_out: Patches, patches: Patches
-    ):
-        for task in range(wp.tid(), task_count(launch), launch.threads):
-            env = task_env(launch, task)
-            patch = task_item(launch, task)
-            if status[env] == ENV_ACTIVE:
-                patches.normal[env, patch] = patches_out.normal[env, patch]
-
-    return accept_body_contact_patches
-
-
-@functools.cache
-def reset_patches() -> wp.Kernel:
-    """Returns the kernel that removes all patches. Launch with dim (env, patch of all pairs)."""
-
-    @unique_kernel(runs_rarely=True)
-    def reset_body_contact_patches(mask: wp.array(dtype=wp.bool), patches: Patches):
-        env, patch = wp.tid()
-        if mask[env]:
-            patches.normal[env, patch] = vec3d()
-
-    return reset_body_contact_patches
-
-
-@functools.cache
-def accept_contacts(real: type) -> wp.Kernel:
-    """Returns the kernel that stores the entry speeds of accepted steps; items: pairs."""
-    BodyContacts = body_contact_structs(real).BodyContacts
-
-    @unique_kernel()
-    def accept_body_contacts(launch: LaunchRange, status: wp.array(dtype=wp.int32), body_contacts: BodyContacts):
-        for task in range(wp.tid(), task_count(launch), launch.threads):
-            env = task_env(launch, task)
-            pair = task_item(launch, task)
-            if status[env] != ENV_ACTIVE:
-                continue
-            entry_speed = real(-1.0)
-            if body_contacts.status[env, pair] == CONTACT:
-                # At least 0: negative values mean "not in contact".
-                speed = wp.max(body_contacts.approach_speed[env, pair], real(0.0))
-                entry_speed = wp.max(body_contacts.entry_speed[env, pair], speed)
-            body_contacts.entry_speed[env, pair] = entry_speed
-
-    return accept_body_contacts
-
-
-@functools.cache
-def reset_contacts(real: type) -> wp.Kernel:
-    """Returns the kernel that resets the history of contacts. Launch with dim (env, pair)."""
-    BodyContacts = body_contact_structs(real).BodyContacts
-
-    @unique_kernel(runs_rarely=True)
-    def reset_body_contacts(mask: wp.array(dtype=wp.bool), body_contacts: BodyContacts):
-        env, pair = wp.tid()
-        if mask[env]:
-            body_contacts.entry_speed[env, pair] = real(-1.0)
-
-    return reset_body_contacts

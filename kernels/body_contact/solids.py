@@ -123,9 +123,8 @@ class Functions(NamedTuple):
 
     #: ``(state, env, solids, first, second)``: the ``PairPose`` of two solids.
     pair_pose: wp.Function
-    #: ``(state, env, geometries, solids, first, second)``: whether the spheres around two solids have no common point. False for
-    #: half-spaces, which have no such sphere.
-    are_spheres_apart: wp.Function
+    #: ``(state, env, solids, solid)``: the pose of a solid in the world, a ``RelativePose``.
+    pose_in_world: wp.Function
 
 
 @functools.cache
@@ -182,28 +181,15 @@ def functions(real: type) -> Functions:
         return result
 
     @wp.func
-    def center_of_box(state: State, env: int, geometries: Geometries, solids: Solids, solid: int):
-        """Returns the center of the bounding box of a solid, from the center of mass of its body, W [m]."""
+    def pose_in_world(state: State, env: int, solids: Solids, solid: int):
+        """Returns the pose of a solid in the world."""
         pose = solids.pose[env, solid]
-        center = pose.position + wp.quat_rotate(
-            pose.orientation, scaled(geometries.center[pose.geometry], pose.scale)
-        )
-        return wp.quat_rotate(body_rotation(state, env, solids.body[solid]), center)
+        body = solids.body[solid]
+        q = body_rotation(state, env, body)
+        result = RelativePose()
+        result.rotation = wp.quat_to_matrix(q * pose.orientation)
+        result.origin = body_center(state, env, body) + body_remainder(state, env, body)
+        result.origin += wp.quat_rotate(q, pose.position)
+        return result
 
-    @wp.func
-    def are_spheres_apart(state: State, env: int, geometries: Geometries, solids: Solids, first: int, second: int):
-        pose_1 = solids.pose[env, first]
-        pose_2 = solids.pose[env, second]
-        if (geometries.flags[pose_2.geometry] & HALF_SPACE) != 0:
-            return False
-        body_1 = solids.body[first]
-        body_2 = solids.body[second]
-        between = body_center(state, env, body_1) - body_center(state, env, body_2)
-        between += body_remainder(state, env, body_1) - body_remainder(state, env, body_2)
-        between += center_of_box(state, env, geometries, solids, first)
-        between -= center_of_box(state, env, geometries, solids, second)
-        reach = wp.length(scaled(geometries.half_extents[pose_1.geometry], pose_1.scale))
-        reach += wp.length(scaled(geometries.half_extents[pose_2.geometry], pose_2.scale))
-        return wp.dot(between, between) >= reach * reach
-
-    return Functions(pair_pose=pair_pose, are_spheres_apart=are_spheres_apart)
+    return Functions(pair_pose=pair_pose, pose_in_world=pose_in_world)

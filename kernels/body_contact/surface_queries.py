@@ -62,6 +62,13 @@ class BoundingBox:
     upper: vec3d  # [m]
 
 
+@wp.struct
+class SolidBoxes:
+    """Boxes around solids with world axes."""
+
+    box: wp.array2d(dtype=BoundingBox)  # [env, solid]
+
+
 @wp.func
 def bounding_box(solid: SolidGeometry, pose: RelativePose, margin: double):
     """Returns a box in another frame around the bounding box of a solid.

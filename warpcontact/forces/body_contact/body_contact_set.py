@@ -13,12 +13,11 @@ from warpcontact.forces.contact_groups import add_material_parameters, compile_f
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget
 from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
-from warpcontact.kernels.body_contact import force
+from warpcontact.kernels.body_contact import acceptance, bounds, force
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT
 from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.shapes.force import advance_history
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.body_contact import BodyContact, reference_share
 from warpcontact.scene.status import ContactStatus
@@ -66,6 +65,7 @@ class BodyContactSet(ForceElement):
     Args:
         contacts: The contacts.
         tables: Geometries and poses of the solids of all body contacts.
+        computes_boxes: Whether it computes the boxes around the solids, for itself and the sets after it.
         context: The model to which arrays, ends and parameters are added.
 
     Attributes:
@@ -79,8 +79,11 @@ class BodyContactSet(ForceElement):
     family = "body contact"
     target = ForceTarget.ENDS
 
-    def __init__(self, contacts: Sequence[BodyContact], tables: SolidTables, context: BuildContext) -> None:
+    def __init__(
+        self, contacts: Sequence[BodyContact], tables: SolidTables, computes_boxes: bool, context: BuildContext
+    ) -> None:
         super().__init__()
+        self.computes_boxes = computes_boxes
         self.parts: ContactModel = contacts[0].parts
         self.tables = tables
         self.real = context.types.real
@@ -160,18 +163,20 @@ class BodyContactSet(ForceElement):
     def force_launches(
         self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
     ) -> list[wp.Launch]:
-        """Returns the launch that computes overlaps and forces in ``state``."""
+        """Returns the launches that compute overlaps and forces in ``state``."""
         a = plan.model.arrays
-        return plan.prepare(
+        tables = self.tables
+        common = {"status": status, "state": state, "geometries": tables.geometries, "solids": tables.solids}
+        launches = []
+        if self.computes_boxes:
+            launches = plan.prepare(bounds.solid_boxes(self.real), tables.count, boxes=tables.boxes, **common)
+        return launches + plan.prepare(
             self.kernel,
             self.count,
-            status=status,
             model=a.model,
-            state=state,
             step=step,
             first_end=self.first_end,
-            geometries=self.tables.geometries,
-            solids=self.tables.solids,
+            boxes=tables.boxes,
             pairs=self.pairs,
             settings=self.settings,
             coefficients=self.coefficients,
@@ -181,36 +186,31 @@ class BodyContactSet(ForceElement):
             patches_out=self.patches_out,
             body_contacts=self.body_contacts,
             ends=a.end_wrenches,
+            **common,
         )
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
-        """Returns the launches that store entry speeds, patches and the history of friction after an accepted step."""
-        status = plan.model.arrays.status
-        launches = plan.prepare(
-            force.accept_contacts(self.real), self.count, status=status, body_contacts=self.body_contacts
+        """Returns the launch that stores entry speeds, patches and the history of friction after an accepted step."""
+        return plan.prepare(
+            acceptance.accept_contacts(self.parts.friction, self.real),
+            self.count,
+            status=plan.model.arrays.status,
+            step=dt.real,
+            body_contacts=self.body_contacts,
+            patches_out=self.patches_out,
+            patches=self.patches,
+            history_out=self.history_out.friction,
+            memory=self.memory.friction,
         )
-        if self.has_patches:
-            count = PATCH_COUNT * self.count
-            launches += plan.prepare(
-                force.accept_patches(), count, status=status, patches_out=self.patches_out, patches=self.patches
-            )
-            launches += plan.prepare(
-                advance_history(self.parts.friction, self.real),
-                count,
-                status=status,
-                history_out=self.history_out.friction,
-                memory=self.memory.friction,
-            )
-        return launches
 
     def reset_state(self, chosen: wp.array) -> None:
         """Clears entry speeds, patches and history in the environments of the mask ``chosen`` [env]."""
         envs, device = len(chosen), chosen.device
         inputs = [chosen, self.body_contacts]
-        wp.launch(force.reset_contacts(self.real), dim=(envs, self.count), inputs=inputs, device=device)
+        wp.launch(acceptance.reset_contacts(self.real), dim=(envs, self.count), inputs=inputs, device=device)
         if self.has_patches:
             dim = (envs, PATCH_COUNT * self.count)
-            wp.launch(force.reset_patches(), dim=dim, inputs=[chosen, self.patches], device=device)
+            wp.launch(acceptance.reset_patches(), dim=dim, inputs=[chosen, self.patches], device=device)
             kernel = reset.memory(self.parts.friction, self.real)
             wp.launch(kernel, dim=dim, inputs=[chosen, self.memory.friction], device=device)
 
@@ -246,4 +246,4 @@ def declare(context: BuildContext, elements: Sequence[BodyContact]) -> list[Forc
     groups: dict[Any, list[BodyContact]] = {}
     for contact in elements:
         groups.setdefault((contact.parts, contact.per_area), []).append(contact)
-    return [BodyContactSet(own, tables, context) for own in groups.values()]
+    return [BodyContactSet(own, tables, i == 0, context) for i, own in enumerate(groups.values())]

@@ -17,10 +17,12 @@ from warpcontact.kernels.body_contact.solids import (
     SolidPose,
     Solids,
 )
+from warpcontact.kernels.body_contact.surface_queries import SolidBoxes
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.types import WORLD
 from warpcontact.scene.body_contact import Solid
 from warpcontact.scene.elements import Surface
+from warpcontact.storage.allocation_plan import per_env
 from warpcontact.storage.parameters import Parameter, Parameters, pack
 from warpcontact.validation.checks import Array
 
@@ -42,6 +44,7 @@ class SolidTables:
     Attributes:
         geometries: Struct ``Geometries``.
         solids: Struct ``Solids``.
+        boxes: Struct ``SolidBoxes``.
     """
 
     def __init__(self, solids: Sequence[Solid], layout: "AllocationPlan", parameters: Parameters) -> None:
@@ -54,6 +57,7 @@ class SolidTables:
         self._declare_geometries(layout)
         bodies = [WORLD if solid.body is None else solid.body.index for solid in solids]
         layout.constant(_PURPOSE, self.solids, "body", bodies, wp.int32)
+        self.boxes = layout.struct(_PURPOSE, SolidBoxes, per_env(len(bodies)), transient=True)
         self.bodies = np.array(bodies, dtype=np.int32)
         columns = [self._pose_parameters(solid, parameters) for solid in solids]
         indices = [parameters.by_name.get(f"{solid.name}.mesh") for solid in solids]
@@ -95,6 +99,11 @@ class SolidTables:
             id(one): one for own in (*columns, indices, radii) for one in own if one is not None
         }.values():
             parameter.device_fields.append(device_field)
+
+    @property
+    def count(self) -> int:
+        """Number of solids."""
+        return len(self.bodies)
 
     def number(self, solid: Solid) -> int:
         """Returns the index of a solid."""
