@@ -109,17 +109,39 @@ def base_face(
 
 
 @wp.func
-def least_exit_depth(
-    corners: wp.array2d(dtype=double), planes: wp.array2d(dtype=double), plane_count: int, face: BaseFace
+def store_exits(
+    corners: wp.array2d(dtype=double),
+    planes: wp.array2d(dtype=double),
+    plane_count: int,
+    face: BaseFace,
+    exits: wp.array2d(dtype=double),
 ):
-    """Returns the smallest depth of the columns on a face [m]."""
+    """Stores the smallest and largest depths at which columns on a face cross each plane, and returns the smallest [m].
+
+    Both are infinite for planes at which columns do not leave the solid: those they would enter, and those that are deeper
+    than another plane everywhere on the face.
+    """
     least = INFINITE
+    # No column is longer than this.
+    longest = INFINITE
     for plane in range(plane_count):
         cosine = wp.dot(plane_normal(planes, plane), face.direction)
+        lower = INFINITE
+        upper = INFINITE
         if cosine >= PARALLEL:
+            upper = -INFINITE
             for i in range(face.base.count):
-                height = height_inside(planes, plane, corner(corners, face.base, i))
-                least = wp.min(least, height / cosine)
+                depth = height_inside(planes, plane, corner(corners, face.base, i)) / cosine
+                lower = wp.min(lower, depth)
+                upper = wp.max(upper, depth)
+        exits[plane, 0] = lower
+        exits[plane, 1] = upper
+        least = wp.min(least, lower)
+        longest = wp.min(longest, upper)
+    for plane in range(plane_count):
+        if exits[plane, 0] > longest:
+            exits[plane, 0] = INFINITE
+            exits[plane, 1] = INFINITE
     return least
 
 
@@ -129,6 +151,7 @@ def exit_polygon(
     planes: wp.array2d(dtype=double),
     plane_count: int,
     face: BaseFace,
+    exits: wp.array2d(dtype=double),
     exit: int,
     shallowest: double,
     deepest: double,
@@ -140,38 +163,32 @@ def exit_polygon(
         planes: Planes of the solid, from ``store_planes``.
         plane_count: Their number.
         face: The face.
+        exits: Depths of the planes, from ``store_exits``.
         exit: The plane at which the columns leave.
         shallowest: Smallest depth [m].
         deepest: Largest depth [m].
     """
     polygon = Polygon()
-    normal = plane_normal(planes, exit)
-    cosine = wp.dot(normal, face.direction)
-    if cosine < PARALLEL:
+    least = exits[exit, 0]
+    largest = exits[exit, 1]
+    if least >= deepest or largest <= shallowest:
         return polygon
     polygon = face.base
-    least = INFINITE
-    largest = -INFINITE
-    for i in range(polygon.count):
-        depth = height_inside(planes, exit, corner(corners, polygon, i)) / cosine
-        least = wp.min(least, depth)
-        largest = wp.max(largest, depth)
-    if least >= deepest or largest <= shallowest:
-        polygon.count = 0
-        return polygon
+    normal = plane_normal(planes, exit)
+    cosine = wp.dot(normal, face.direction)
     # Depths times the cosine: offset − normal · position.
     offset = planes[exit, 3]
-    polygon = cut(corners, polygon, -normal, offset - shallowest * cosine)
-    if polygon.count > 0 and deepest < INFINITE:
+    if least < shallowest:
+        polygon = cut(corners, polygon, -normal, offset - shallowest * cosine)
+    if largest > deepest and polygon.count > 0:
         polygon = cut(corners, polygon, normal, deepest * cosine - offset)
     for plane in range(plane_count):
         if polygon.count == 0:
             return polygon
-        other_normal = plane_normal(planes, plane)
-        other_cosine = wp.dot(other_normal, face.direction)
-        if plane != exit and other_cosine >= PARALLEL:
+        if plane != exit and exits[plane, 0] < largest:
             # The column does not cross the other plane before the exit: its end is inside.
-            ratio = other_cosine / cosine
+            other_normal = plane_normal(planes, plane)
+            ratio = wp.dot(other_normal, face.direction) / cosine
             polygon = cut(corners, polygon, ratio * normal - other_normal, planes[plane, 3] - ratio * offset)
     return polygon
 

@@ -25,7 +25,13 @@ from warpcontact.kernels.body_contact.columns import (
     position_on_face,
     ramp_height,
 )
-from warpcontact.kernels.body_contact.convex_columns import BaseFace, base_face, exit_polygon, with_exit
+from warpcontact.kernels.body_contact.convex_columns import (
+    BaseFace,
+    base_face,
+    exit_polygon,
+    store_exits,
+    with_exit,
+)
 from warpcontact.kernels.body_contact.face_trees import first_crossing, next_leaf_in_box, start_traversal
 from warpcontact.kernels.body_contact.overlap import FULL_WEIGHT, NO_WEIGHT, Overlap, column_weight
 from warpcontact.kernels.body_contact.patches import patch_of
@@ -142,7 +148,8 @@ def depth_beyond_entry(
 def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints: bool) -> wp.Function:
     """Returns the device function that adds the columns on one face of a side.
 
-    Its arguments are (model, state, env, dt, pair, motion, geometries, side, overlap, face, corners, planes, pending, bottom,
+    Its arguments are (model, state, env, dt, pair, motion, geometries, side, overlap, face, corners, planes, exits, pending,
+    bottom,
     coefficients, history_in, history_out, body_contacts, sums, normals, patch_rows); it returns the ``ColumnSums``.
     """
     t = structs(real)
@@ -259,6 +266,7 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
         face: int,
         corners: wp.array2d(dtype=double),
         planes: wp.array2d(dtype=double),
+        exits: wp.array2d(dtype=double),
         pending: wp.array(dtype=wp.int32),
         bottom: int,
         coefficients: Coefficients,
@@ -280,6 +288,7 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
             )
             if base.area == double(0.0):
                 return sums
+            store_exits(corners, planes, plane_count, base, exits)
             frame.to_W = side.other_in_W.rotation
             frame.origin = side.other_in_W.origin
             frame.direction = base.direction
@@ -315,6 +324,8 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                 is_entry = wp.bool(False)
                 if not side.by_planes:
                     is_entry = not is_exit(geometries, face_plane, exit)
+                elif exits[exit, 0] >= NO_WEIGHT * overlap.depth:
+                    continue
                 # The weight is a polynomial below and above FULL_WEIGHT × D.
                 parts = wp.where(side.half_space, 1, 2)
                 for part in range(parts):
@@ -330,7 +341,7 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                     polygon = Polygon()
                     if side.by_planes:
                         polygon = exit_polygon(
-                            corners, planes, end_exit - first_exit, base, exit, shallowest, deepest
+                            corners, planes, end_exit - first_exit, base, exits, exit, shallowest, deepest
                         )
                         if polygon.count > 0:
                             frame = with_exit(frame, planes, exit)

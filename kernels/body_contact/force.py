@@ -104,6 +104,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
     ):
         corners = wp.zeros(shape=(CORNER_ROWS, 3), dtype=double)
         planes = wp.zeros(shape=(MAX_PLANES, 4), dtype=double)
+        exits = wp.zeros(shape=(MAX_PLANES, 2), dtype=double)
         least_depths = wp.zeros(shape=(LEAST_DEPTHS,), dtype=double)
         pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
         normals = wp.zeros(shape=(PATCH_COUNT, 3), dtype=double)
@@ -138,7 +139,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 )
             if is_near:
                 overlap = overlap_of(
-                    corners, planes, least_depths, pending, geometries, first, second, pose.first_in_second
+                    corners, planes, exits, least_depths, pending, geometries, first, second, pose.first_in_second
                 )
                 if setting.reference >= double(0.0) and not second_is_reference:
                     overlap.share = setting.reference
@@ -178,7 +179,7 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                                 continue
                         sums = add_face(
                             model, state, env, step[env, 0], pair, motion, geometries, side, overlap, face, corners,
-                            planes, pending, top, coefficients, history_in, history_out, body_contacts, sums, normals,
+                            planes, exits, pending, top, coefficients, history_in, history_out, body_contacts, sums, normals,
                             patch_rows,
                         )  # fmt: skip
             store_result(

@@ -26,7 +26,7 @@ from warpcontact.kernels.body_contact.columns import (
 from warpcontact.kernels.body_contact.convex_columns import (
     base_face,
     deepest_inside,
-    least_exit_depth,
+    store_exits,
     store_planes,
 )
 from warpcontact.kernels.body_contact.face_trees import (
@@ -226,6 +226,7 @@ def overlap_of_face(
 def overlap_of(
     corners: wp.array2d(dtype=double),
     planes: wp.array2d(dtype=double),
+    exits: wp.array2d(dtype=double),
     least_depths: wp.array(dtype=double),
     pending: wp.array(dtype=wp.int32),
     geometries: Geometries,
@@ -238,6 +239,7 @@ def overlap_of(
     Args:
         corners: Corners of the polygons of the thread.
         planes: Room for the planes of a solid.
+        exits: Room for the depths of its planes.
         least_depths: Receives the smallest depth of the columns on each face, see ``face_slot`` [m].
         pending: Pending nodes of the thread.
         geometries: The geometries.
@@ -286,7 +288,7 @@ def overlap_of(
                         continue
                     overlap.area = base.area
                     overlap.depth = deepest_inside(corners, planes, plane_count, base, result.depth)
-                    overlap.least = least_exit_depth(corners, planes, plane_count, base)
+                    overlap.least = store_exits(corners, planes, plane_count, base, exits)
                 else:
                     overlap = overlap_of_face(
                         corners, pending, top, geometries, own, other, pose, face, result.depth
