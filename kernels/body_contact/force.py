@@ -8,6 +8,7 @@ from warpcontact.kernels.body_contact import solids as solid_functions
 from warpcontact.kernels.body_contact.column_sums import ColumnSums, RelativeMotion, column_functions, pair_of
 from warpcontact.kernels.body_contact.columns import ramp_height
 from warpcontact.kernels.body_contact.convex_columns import store_planes
+from warpcontact.kernels.body_contact.curved_solids import CURVED
 from warpcontact.kernels.body_contact.face_columns import column_side, other_box
 from warpcontact.kernels.body_contact.face_trees import PENDING_NODES, next_leaf_in_box, start_traversal
 from warpcontact.kernels.body_contact.overlap import (
@@ -128,6 +129,8 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                 continue
             first = solid_geometry(geometries, solids.pose[env, solid_1])
             second = solid_geometry(geometries, solids.pose[env, solid_2])
+            if ((first.flags | second.flags) & CURVED) != 0:
+                continue
             pose = pair_pose(state, env, solids, solid_1, solid_2)
             pair = pair_of(pose, solids, solid_1, solid_2, number)
             half_space = (second.flags & HALF_SPACE) != 0

@@ -15,7 +15,9 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.contact.contact_evaluation import ContactModel
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.shapes.base import Plane
+from warpcontact.kernels.shapes.revolution import Cone, Cylinder
 from warpcontact.kernels.shapes.rounded_box import RoundedBox
+from warpcontact.kernels.shapes.spheres import Capsule, Ellipsoid, Sphere
 from warpcontact.scene.elements import Body, ContactMaterial, Surface, check_owned, options_of
 from warpcontact.scene.shapes import Shape
 from warpcontact.validation import checks
@@ -26,8 +28,10 @@ Solid: TypeAlias = Surface | Shape
 
 #: Weight of the columns on the faces of the second solid, by ``reference``; negative: it follows from the flatness of both.
 REFERENCES = {"auto": -1.0, "first": 0.0, "second": 1.0, "average": 0.5}
+#: Shapes with curved surfaces that body contact supports.
+CURVED: tuple[type, ...] = (Sphere, Ellipsoid, Cylinder, Cone, Capsule)
 #: Shapes that body contact supports.
-_SHAPES: tuple[type, ...] = (RoundedBox, Plane)
+_SHAPES: tuple[type, ...] = (RoundedBox, Plane, *CURVED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +197,8 @@ class BodyContacts:
                     f"{name}: {one.name!r} and {other.name!r} are both half-spaces or open surfaces, which have no body "
                     "contact with each other; exclude leaves out a pair"
                 )
+        for pair in contact.pairs:
+            _check_pair(name, *pair)
         self.body_contacts.append(contact)
         self._elements[name] = contact
         return contact
@@ -254,7 +260,7 @@ def _check_solid(label: str, solid: Solid) -> None:
     if not solid.single:
         raise ValueError(f"{label}: shape {solid.name!r} is a set; body contact needs shapes of single bodies")
     if solid.kind not in _SHAPES:
-        names = " and ".join(kind.__name__ for kind in _SHAPES)
+        names = ", ".join(kind.__name__ for kind in _SHAPES)
         raise ValueError(
             f"{label}: shape {solid.name!r} is a {solid.kind.__name__}; body contact supports meshes and the shapes "
             f"{names}. add_shape_contact supports all shapes, at one point"
@@ -271,6 +277,16 @@ def _must_be_second(solid: Solid) -> bool:
     if isinstance(solid, Shape):
         return solid.kind is Plane
     return not all(mesh.report.closed for mesh in solid.meshes)
+
+
+def _check_pair(name: str, first: Solid, second: Solid) -> None:
+    """Raises ``ValueError`` if both solids of a pair are curved shapes."""
+    kinds = [solid.kind.__name__ for solid in (first, second) if isinstance(solid, Shape) and solid.kind in CURVED]
+    if len(kinds) == 2:
+        raise ValueError(
+            f"{name}: {first.name!r} is a {kinds[0]} and {second.name!r} is a {kinds[1]}; body contact supports curved shapes "
+            "against meshes, boxes and half-spaces. Use a mesh for one of them, or add_shape_contact, which has one point"
+        )
 
 
 def _check_first(name: str, solid: Solid) -> None:

@@ -87,7 +87,7 @@ def scene_with(*names):
     made = {
         "box": lambda: scene.add_shape(body, wc.shapes.RoundedBox((0.1, 0.1, 0.1)), name="box"),
         "round": lambda: scene.add_shape(body, wc.shapes.RoundedBox((0.1, 0.1, 0.1), 0.01), name="round"),
-        "ball": lambda: scene.add_shape(body, wc.shapes.Sphere(0.1), name="ball"),
+        "torus": lambda: scene.add_shape(body, wc.shapes.Torus(0.1, 0.02), name="torus"),
         "sheet": lambda: scene.add_surface(wc.meshes.grid((1, 1)), body=body, name="sheet"),
         "hollow": lambda: scene.add_surface(wc.meshes.box((1, 1, 1)), body=body, flip=True, name="hollow"),
         "floor": lambda: scene.add_shape(None, wc.shapes.Plane(), name="floor"),
@@ -99,8 +99,8 @@ def scene_with(*names):
     ("names", "message"),
     [
         (
-            ("ball", "floor"),
-            r"'ball' is a Sphere; body contact supports meshes and the shapes RoundedBox and Plane",
+            ("torus", "floor"),
+            r"'torus' is a Torus; body contact supports meshes and the shapes RoundedBox, Plane, Sphere, Ellipsoid, Cylinder, Cone, Capsule",
         ),
         (("round", "floor"), r"'round' has rounded edges, of radius 0\.01 m"),
         (("sheet", "floor"), r"'sheet' is open, and must be second"),

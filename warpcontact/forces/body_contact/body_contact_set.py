@@ -1,12 +1,14 @@
 """Device data of body contacts, grouped by contact model. Kernels: ``kernels/body_contact``."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.body_contact.curved_shapes import is_curved
 from warpcontact.forces.body_contact.solid_tables import SolidTables
 from warpcontact.forces.body_contact.step_warnings import body_contact_warnings
 from warpcontact.forces.contact_groups import add_material_parameters, compile_force_kernel
@@ -14,6 +16,7 @@ from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTa
 from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.body_contact import acceptance, bounds, force
+from warpcontact.kernels.body_contact.curved_force import curved_contact_forces
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT
 from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
@@ -70,7 +73,7 @@ class BodyContactSet(ForceElement):
 
     Attributes:
         parts: The contact model: classes of law and friction models.
-        kernel: The force kernel.
+        kernels: The force kernels: that of polyhedra, that of pairs with a curved solid, or both.
         count: Number of pairs.
         first_end: Number of the first end. Pair i has the ends ``first_end`` + 2 i (first body) and
             ``first_end`` + 2 i + 1 (second body).
@@ -93,7 +96,14 @@ class BodyContactSet(ForceElement):
         }
         self.count: int = starts[-1]
         has_joints = context.has_joints and self.parts.law.needs_mass
-        self.kernel = force.contact_forces(self.parts, self.real, contacts[0].per_area, has_joints)
+        # Each kernel skips the pairs of the other one.
+        with_curved = {any(is_curved(one) for one in pair) for each in contacts for pair in each.pairs}
+        self.kernels = tuple(
+            (curved_contact_forces if curved else force.contact_forces)(
+                self.parts, self.real, contacts[0].per_area, has_joints
+            )
+            for curved in sorted(with_curved)
+        )
         numbers = np.array([[tables.number(one) for one in pair] for each in contacts for pair in each.pairs])
         self.first_end = 2 * context.ends.add(tables.bodies[numbers])
         self._declare(context.layout, numbers)
@@ -153,12 +163,13 @@ class BodyContactSet(ForceElement):
                 )
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles the force kernel if it has user-defined laws, to report errors early.
+        """Compiles the force kernels if they have user-defined laws, to report errors early.
 
         Raises:
             TypeError: If a law or friction model does not compile.
         """
-        compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
+        for number in range(len(self.kernels)):
+            compile_force_kernel(self.parts, partial(self.kernels.__getitem__, number), device, self.real)
 
     def force_launches(
         self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
@@ -167,27 +178,29 @@ class BodyContactSet(ForceElement):
         a = plan.model.arrays
         tables = self.tables
         common = {"status": status, "state": state, "geometries": tables.geometries, "solids": tables.solids}
-        launches = []
+        launches: list[wp.Launch] = []
         if self.computes_boxes:
             launches = plan.prepare(bounds.solid_boxes(self.real), tables.count, boxes=tables.boxes, **common)
-        return launches + plan.prepare(
-            self.kernel,
-            self.count,
-            model=a.model,
-            step=step,
-            first_end=self.first_end,
-            boxes=tables.boxes,
-            pairs=self.pairs,
-            settings=self.settings,
-            coefficients=self.coefficients,
-            history_in=self.memory,
-            history_out=self.history_out,
-            patches_in=self.patches,
-            patches_out=self.patches_out,
-            body_contacts=self.body_contacts,
-            ends=a.end_wrenches,
-            **common,
-        )
+        for kernel in self.kernels:
+            launches += plan.prepare(
+                kernel,
+                self.count,
+                model=a.model,
+                step=step,
+                first_end=self.first_end,
+                boxes=tables.boxes,
+                pairs=self.pairs,
+                settings=self.settings,
+                coefficients=self.coefficients,
+                history_in=self.memory,
+                history_out=self.history_out,
+                patches_in=self.patches,
+                patches_out=self.patches_out,
+                body_contacts=self.body_contacts,
+                ends=a.end_wrenches,
+                **common,
+            )
+        return launches
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
         """Returns the launch that stores entry speeds, patches and the history of friction after an accepted step."""

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.body_contact.curved_shapes import CURVED_KINDS, curved_scale, size_names
 from warpcontact.geometry.polyhedron import Polyhedron
 from warpcontact.kernels.body_contact.solids import (
     FEW_PLANES,
@@ -19,9 +20,12 @@ from warpcontact.kernels.body_contact.solids import (
 )
 from warpcontact.kernels.body_contact.surface_queries import SolidBoxes
 from warpcontact.kernels.shapes.base import Plane
+from warpcontact.kernels.shapes.base import Shape as Form
+from warpcontact.kernels.shapes.rounded_box import RoundedBox
 from warpcontact.kernels.types import WORLD
 from warpcontact.scene.body_contact import Solid
 from warpcontact.scene.elements import Surface
+from warpcontact.scene.shapes import Shape
 from warpcontact.storage.allocation_plan import per_env
 from warpcontact.storage.parameters import Parameter, Parameters, pack
 from warpcontact.validation.checks import Array
@@ -49,7 +53,7 @@ class SolidTables:
 
     def __init__(self, solids: Sequence[Solid], layout: "AllocationPlan", parameters: Parameters) -> None:
         self._numbers = {solid: number for number, solid in enumerate(solids)}
-        self._polyhedra: list[Polyhedron | None] = []  # None: half-space
+        self._geometries: list[Polyhedron | type[Form]] = []  # shapes: half-space, or curved
         self._known: dict[Any, int] = {}
         # First geometry of each solid; those of the meshes of a surface are consecutive.
         self._first = [self._add_geometries(solid) for solid in solids]
@@ -63,7 +67,8 @@ class SolidTables:
         indices = [parameters.by_name.get(f"{solid.name}.mesh") for solid in solids]
 
         # Boxes have sharp edges, also after a change of parameters.
-        radii = [one for solid in solids if (one := parameters.by_name.get(f"{solid.name}.radius")) is not None]
+        boxes = [solid for solid in solids if isinstance(solid, Shape) and solid.kind is RoundedBox]
+        radii = [parameters.by_name[f"{box.name}.radius"] for box in boxes]
 
         def content() -> NDArray[Any]:
             for radius in radii:
@@ -71,9 +76,8 @@ class SolidTables:
                     raise ValueError(
                         f"{radius.name} must be 0 m, because the box is in body contact, got {radius.values.max():g} m"
                     )
-            used = [one for own in columns for one in own if one is not None] + [
-                one for one in indices if one is not None
-            ]
+            used = [one for position, orientation, sizes in columns for one in (position, orientation, *sizes)]
+            used += [one for one in indices if one is not None]
             envs = max(len(one.values) for one in used)
             packed: dict[str, list[NDArray[Any]]] = {
                 "position": [],
@@ -81,8 +85,10 @@ class SolidTables:
                 "scale": [],
                 "geometry": [],
             }
-            for (position, orientation, size), start, index in zip(columns, self._first, indices, strict=True):
-                scale = np.ones((1, 1)) if size is None else size.values[:, 0].reshape(len(size.values), -1)
+            for solid, (position, orientation, sizes), start, index in zip(
+                solids, columns, self._first, indices, strict=True
+            ):
+                scale = _scale_of(solid, sizes)
                 numbers = np.full(1, start) if index is None else start + index.values[:, 0]
                 values: dict[str, NDArray[Any]] = {
                     "position": position.values[:, 0],
@@ -95,9 +101,8 @@ class SolidTables:
             return pack(SolidPose, {key: np.stack(values, axis=1) for key, values in packed.items()})
 
         device_field = parameters.device_field(self.solids, "pose", SolidPose, content)
-        for parameter in {
-            id(one): one for own in (*columns, indices, radii) for one in own if one is not None
-        }.values():
+        used = [one for position, orientation, sizes in columns for one in (position, orientation, *sizes)]
+        for parameter in {id(one): one for one in (*used, *indices, *radii) if one is not None}.values():
             parameter.device_fields.append(device_field)
 
     @property
@@ -133,11 +138,11 @@ class SolidTables:
         """Adds the geometries of a solid, unless they are there; returns the number of the first."""
         key: Any = tuple(map(id, solid.meshes)) if isinstance(solid, Surface) else solid.kind
         if key not in self._known:
-            self._known[key] = len(self._polyhedra)
+            self._known[key] = len(self._geometries)
             if isinstance(solid, Surface):
-                self._polyhedra += [Polyhedron.from_mesh(mesh) for mesh in solid.meshes]
+                self._geometries += [Polyhedron.from_mesh(mesh) for mesh in solid.meshes]
             else:
-                self._polyhedra.append(None if solid.kind is Plane else Polyhedron.unit_box())
+                self._geometries.append(Polyhedron.unit_box() if solid.kind is RoundedBox else solid.kind)
         return self._known[key]
 
     def _declare_geometries(self, layout: "AllocationPlan") -> None:
@@ -147,26 +152,33 @@ class SolidTables:
         }
         tables |= {name: [] for name in ("node", "node_lower", "node_upper", "root")}
         vertex_count, node_count = 1, 0
-        for polyhedron in self._polyhedra:
-            if polyhedron is None:
+        for geometry in self._geometries:
+            if geometry is Plane:
                 tables["face"].append(np.zeros((1, 4), dtype=np.int32))
                 for name, row in (("normal", [[0.0, 0.0, 1.0]]), ("u_axis", [[1.0, 0.0, 0.0]]), ("offset", [0.0])):
                     tables[name].append(np.array(row))
                 tables["flags"].append(HALF_SPACE)
                 planes, lower, upper = np.zeros(1, dtype=np.int32), np.zeros(3), np.zeros(3)
                 nodes, boxes = np.array([[-1, 0, 1]]), (np.zeros((1, 3)), np.zeros((1, 3)))
-            else:
-                tables["vertex"].append(polyhedron.vertices)
-                own = polyhedron.faces
+            elif isinstance(geometry, Polyhedron):
+                tables["vertex"].append(geometry.vertices)
+                own = geometry.faces
                 tables["face"].append(np.where(own >= 0, own + vertex_count, -1))
-                vertex_count += len(polyhedron.vertices)
-                for name, values in zip(("normal", "u_axis", "offset"), polyhedron.planes(), strict=True):
+                vertex_count += len(geometry.vertices)
+                for name, values in zip(("normal", "u_axis", "offset"), geometry.planes(), strict=True):
                     tables[name].append(values)
-                few = len(polyhedron.plane_faces) <= MAX_PLANES and polyhedron.is_convex
-                tables["flags"].append(HAS_BOUNDARY * (not polyhedron.is_closed) | FEW_PLANES * few)
-                planes = polyhedron.plane_faces
-                lower, upper = polyhedron.bounds
-                nodes, boxes = polyhedron.tree.nodes, (polyhedron.tree.lower, polyhedron.tree.upper)
+                few = len(geometry.plane_faces) <= MAX_PLANES and geometry.is_convex
+                tables["flags"].append(HAS_BOUNDARY * (not geometry.is_closed) | FEW_PLANES * few)
+                planes = geometry.plane_faces
+                lower, upper = geometry.bounds
+                nodes, boxes = geometry.tree.nodes, (geometry.tree.lower, geometry.tree.upper)
+            else:
+                for name, shape in (("face", (0, 4)), ("normal", (0, 3)), ("u_axis", (0, 3)), ("offset", (0,))):
+                    tables[name].append(np.zeros(shape, dtype=np.int32 if name == "face" else np.float64))
+                kind = CURVED_KINDS[geometry]
+                tables["flags"].append(kind.flag)
+                planes, lower, upper = np.zeros(0, dtype=np.int32), kind.lower, kind.upper
+                nodes, boxes = np.array([[-1, 0, 0]]), (np.zeros((1, 3)), np.zeros((1, 3)))
             start = tables["face_start"][-1]
             tables["node"].append(nodes + np.where(nodes >= 0, [[node_count, start, start]], 0))
             tables["node_lower"].append(boxes[0])
@@ -195,8 +207,16 @@ class SolidTables:
 
     def _pose_parameters(
         self, solid: Solid, parameters: Parameters
-    ) -> tuple[Parameter, Parameter, Parameter | None]:
-        """Returns the parameters of position, orientation and size of a solid."""
-        size = "scale" if isinstance(solid, Surface) else "half_extents"
+    ) -> tuple[Parameter, Parameter, list[Parameter]]:
+        """Returns the parameters of position, orientation and sizes of a solid."""
         position, orientation = (parameters.by_name[f"{solid.name}.{key}"] for key in ("position", "orientation"))
-        return position, orientation, parameters.by_name.get(f"{solid.name}.{size}")
+        names = ["scale"] if isinstance(solid, Surface) else size_names(solid.kind)
+        return position, orientation, [parameters.by_name[f"{solid.name}.{name}"] for name in names]
+
+
+def _scale_of(solid: Solid, sizes: Sequence[Parameter]) -> NDArray[np.float64]:
+    """Returns the scale of a solid, (env, 1 or 3), with one row if all environments share its sizes [m per unit]."""
+    values = [size.values[:, 0].reshape(len(size.values), -1) for size in sizes]
+    if isinstance(solid, Shape) and solid.kind in CURVED_KINDS:
+        return curved_scale(solid.kind, values)
+    return values[0] if values else np.ones((1, 1))
