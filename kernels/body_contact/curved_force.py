@@ -150,7 +150,7 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
             solid_2 = pairs.second[number]
             first = solid_geometry(geometries, solids.pose[env, solid_1])
             second = solid_geometry(geometries, solids.pose[env, solid_2])
-            if ((first.flags | second.flags) & CURVED) == 0:
+            if ((first.flags & CURVED) != 0) == ((second.flags & CURVED) != 0):
                 continue
             contact_status = wp.int32(OPEN)
             if setting.enabled == 0:

@@ -301,35 +301,48 @@ def column_quadratic(section: Section, profile: Profile, u: double, v: double):
 
 
 @wp.func
-def column_interval(section: Section, profile: Profile, u: double, v: double):
-    """Returns the depths t ≥ 0 at which the column at (u, v) enters and leaves a part; the first is larger if it does not."""
-    depths = depths_between_limits(section, profile, u)
-    column = column_quadratic(section, profile, u, v)
-    if column[2] == double(0.0) and column[1] == double(0.0):
+def interval_of_quadratic(coefficients: vec3d, limits: wp.vec2d, z_slope: double):
+    """Returns the interval of t within limits in which c₀ + c₁ t + c₂ t² ≥ 0; the first value is larger if there is none.
+
+    Args:
+        coefficients: (c₀, c₁, c₂) along a line through a part of a curved solid.
+        limits: Values of t at which z is within its limits.
+        z_slope: Derivative of z with respect to t.
+    """
+    result = limits
+    if coefficients[2] == double(0.0) and coefficients[1] == double(0.0):
         # Along the generators of a cylinder.
-        if column[0] < double(0.0):
+        if coefficients[0] < double(0.0):
             return wp.vec2d(double(1.0), double(0.0))
-        return depths
-    first, second, are_real = real_roots(column)
-    if column[2] > double(0.0):
+        return result
+    first, second, are_real = real_roots(coefficients)
+    if coefficients[2] > double(0.0):
         # Into one of the two nappes of a cone: that of smaller z.
         if are_real:
-            if section.z_t > double(0.0):
-                depths[1] = wp.min(depths[1], first)
+            if z_slope > double(0.0):
+                result[1] = wp.min(result[1], first)
             else:
-                depths[0] = wp.max(depths[0], second)
-        return depths
+                result[0] = wp.max(result[0], second)
+        return result
     if not are_real:
         return wp.vec2d(double(1.0), double(0.0))
-    if column[2] == double(0.0):
+    if coefficients[2] == double(0.0):
         # Parallel to a generator of a cone, or rounding: one root is infinite.
-        root = -column[0] / column[1]
-        if column[1] > double(0.0):
-            depths[0] = wp.max(depths[0], root)
+        root = -coefficients[0] / coefficients[1]
+        if coefficients[1] > double(0.0):
+            result[0] = wp.max(result[0], root)
         else:
-            depths[1] = wp.min(depths[1], root)
-        return depths
-    return wp.vec2d(wp.max(depths[0], first), wp.min(depths[1], second))
+            result[1] = wp.min(result[1], root)
+        return result
+    return wp.vec2d(wp.max(result[0], first), wp.min(result[1], second))
+
+
+@wp.func
+def column_interval(section: Section, profile: Profile, u: double, v: double):
+    """Returns the depths t ≥ 0 at which the column at (u, v) enters and leaves a part; the first is larger if it does not."""
+    return interval_of_quadratic(
+        column_quadratic(section, profile, u, v), depths_between_limits(section, profile, u), section.z_t
+    )
 
 
 @wp.func

@@ -197,8 +197,6 @@ class BodyContacts:
                     f"{name}: {one.name!r} and {other.name!r} are both half-spaces or open surfaces, which have no body "
                     "contact with each other; exclude leaves out a pair"
                 )
-        for pair in contact.pairs:
-            _check_pair(name, *pair)
         self.body_contacts.append(contact)
         self._elements[name] = contact
         return contact
@@ -277,16 +275,6 @@ def _must_be_second(solid: Solid) -> bool:
     if isinstance(solid, Shape):
         return solid.kind is Plane
     return not all(mesh.report.closed for mesh in solid.meshes)
-
-
-def _check_pair(name: str, first: Solid, second: Solid) -> None:
-    """Raises ``ValueError`` if both solids of a pair are curved shapes."""
-    kinds = [solid.kind.__name__ for solid in (first, second) if isinstance(solid, Shape) and solid.kind in CURVED]
-    if len(kinds) == 2:
-        raise ValueError(
-            f"{name}: {first.name!r} is a {kinds[0]} and {second.name!r} is a {kinds[1]}; body contact supports curved shapes "
-            "against meshes, boxes and half-spaces. Use a mesh for one of them, or add_shape_contact, which has one point"
-        )
 
 
 def _check_first(name: str, solid: Solid) -> None:

@@ -17,6 +17,7 @@ from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.body_contact import acceptance, bounds, force
 from warpcontact.kernels.body_contact.curved_force import curved_contact_forces
+from warpcontact.kernels.body_contact.curved_pair_force import curved_pair_forces
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT
 from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 # Bytes of a pair in the cache of a core: two solids and the results.
 PAIR_BYTES = 500
 _PURPOSE = "body contacts"
+# By number of curved solids of a pair.
+_KERNELS = (force.contact_forces, curved_contact_forces, curved_pair_forces)
 _RANGES = {
     "kappa": limits_of.KAPPA,
     "max_depth": limits_of.MAX_DEPTH,
@@ -73,7 +76,7 @@ class BodyContactSet(ForceElement):
 
     Attributes:
         parts: The contact model: classes of law and friction models.
-        kernels: The force kernels: that of polyhedra, that of pairs with a curved solid, or both.
+        kernels: The force kernels, one for each number of curved solids of a pair that occurs.
         count: Number of pairs.
         first_end: Number of the first end. Pair i has the ends ``first_end`` + 2 i (first body) and
             ``first_end`` + 2 i + 1 (second body).
@@ -97,12 +100,10 @@ class BodyContactSet(ForceElement):
         self.count: int = starts[-1]
         has_joints = context.has_joints and self.parts.law.needs_mass
         # Each kernel skips the pairs of the other one.
-        with_curved = {any(is_curved(one) for one in pair) for each in contacts for pair in each.pairs}
+        curved_counts = {sum(is_curved(one) for one in pair) for each in contacts for pair in each.pairs}
         self.kernels = tuple(
-            (curved_contact_forces if curved else force.contact_forces)(
-                self.parts, self.real, contacts[0].per_area, has_joints
-            )
-            for curved in sorted(with_curved)
+            _KERNELS[count](self.parts, self.real, contacts[0].per_area, has_joints)
+            for count in sorted(curved_counts)
         )
         numbers = np.array([[tables.number(one) for one in pair] for each in contacts for pair in each.pairs])
         self.first_end = 2 * context.ends.add(tables.bodies[numbers])
