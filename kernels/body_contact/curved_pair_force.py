@@ -20,7 +20,6 @@ from warpcontact.kernels.body_contact.curved_pairs import (
 )
 from warpcontact.kernels.body_contact.curved_solids import CURVED
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT, PATCH_SUMS, patch_of, start_patches
-from warpcontact.kernels.body_contact.patches import functions as patch_functions
 from warpcontact.kernels.body_contact.records import (
     BodyContactSettings,
     Patches,
@@ -28,7 +27,7 @@ from warpcontact.kernels.body_contact.records import (
     body_contact_structs,
 )
 from warpcontact.kernels.body_contact.solids import Geometries, Solids
-from warpcontact.kernels.body_contact.surface_queries import are_apart, solid_geometry
+from warpcontact.kernels.body_contact.surface_queries import SolidBoxes, are_apart, are_boxes_apart, solid_geometry
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
@@ -62,9 +61,7 @@ def curved_pair_forces(contact_model: ContactModel, real: type, per_area: bool, 
     second_fraction = contact_model.law.second_fraction
     columns = column_functions(contact_model, real, per_area, has_joints)
     add_column, store_result = columns.add_column, columns.store_result
-    of_solids = solid_functions.functions(real)
-    pair_pose, are_spheres_apart = of_solids.pair_pose, of_solids.are_spheres_apart
-    clear_history = patch_functions(contact_model.friction, real).clear_history
+    pair_pose = solid_functions.functions(real).pair_pose
 
     @unique_kernel()
     def curved_pair_contact_forces(
@@ -76,6 +73,7 @@ def curved_pair_forces(contact_model: ContactModel, real: type, per_area: bool, 
         first_end: wp.int32,
         geometries: Geometries,
         solids: Solids,
+        boxes: SolidBoxes,
         pairs: SolidPairs,
         settings: wp.array2d(dtype=BodyContactSettings),
         coefficients: Coefficients,
@@ -104,14 +102,11 @@ def curved_pair_forces(contact_model: ContactModel, real: type, per_area: bool, 
             contact_status = wp.int32(OPEN)
             if setting.enabled == 0:
                 contact_status = DISABLED
-            is_near = contact_status == OPEN
-            if is_near:
-                is_near = not are_spheres_apart(state, env, geometries, solids, solid_1, solid_2)
+            is_near = contact_status == OPEN and not are_boxes_apart(
+                boxes.box[env, solid_1], boxes.box[env, solid_2]
+            )
             if not is_near and body_contacts.status[env, number] == contact_status:
                 # Readings and wrenches are zero already.
-                if wp.static(has_patches):
-                    for patch in range(PATCH_COUNT):
-                        clear_history(history_out.friction, env, PATCH_COUNT * number + patch, step[env, 0])
                 continue
             pose = pair_pose(state, env, solids, solid_1, solid_2)
             pair = pair_of(pose, solids, solid_1, solid_2, number)

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.forces.body_contact.curved_shapes import CURVED_KINDS, curved_scale, size_names
+from warpcontact.forces.body_contact.curved_shapes import CURVED_KINDS, curved_scale, is_curved, size_names
 from warpcontact.geometry.polyhedron import Polyhedron
 from warpcontact.kernels.body_contact.solids import (
     FEW_PLANES,
@@ -116,23 +116,23 @@ class SolidTables:
 
     def half_extents(self, model: "Environments", solid: Solid) -> Array:
         """Returns half of the size of the bounding box of a solid along its own axes, (envs, 3) [m]; infinite if it has none."""
-        first = self._first[self._numbers[solid]]
-        count = len(solid.meshes) if isinstance(solid, Surface) else 1
-        own = []
-        for polyhedron in self._polyhedra[first : first + count]:
-            if polyhedron is None:
-                own.append(np.full(3, np.inf))
-            else:
-                lower, upper = polyhedron.bounds
-                own.append(0.5 * (upper - lower))
-        number = np.zeros(model.envs, dtype=int)
-        if count > 1:
-            number = np.asarray(model[f"{solid.name}.mesh"], dtype=int)
-        size = "scale" if isinstance(solid, Surface) else "half_extents"
-        scale: Array = np.ones((1, 1))
-        if f"{solid.name}.{size}" in model:
-            scale = np.asarray(model[f"{solid.name}.{size}"]).reshape(model.envs, -1)
-        return np.asarray(np.array(own)[number] * scale)
+        if isinstance(solid, Surface):
+            first = self._first[self._numbers[solid]]
+            bounds = np.array([one.bounds for one in self._geometries[first : first + len(solid.meshes)]])
+            number = np.zeros(model.envs, dtype=int)
+            if len(solid.meshes) > 1:
+                number = np.asarray(model[f"{solid.name}.mesh"], dtype=int)
+            scale = np.asarray(model[f"{solid.name}.scale"]).reshape(model.envs, 1)
+            return np.asarray(0.5 * (bounds[:, 1] - bounds[:, 0])[number] * scale)
+        if solid.kind is Plane:
+            return np.full((model.envs, 3), np.inf)
+        sizes = [
+            np.asarray(model[f"{solid.name}.{key}"]).reshape(model.envs, -1) for key in size_names(solid.kind)
+        ]
+        if not is_curved(solid):
+            return sizes[0]
+        kind = CURVED_KINDS[solid.kind]
+        return 0.5 * (kind.upper - kind.lower) * curved_scale(solid.kind, sizes)
 
     def _add_geometries(self, solid: Solid) -> int:
         """Adds the geometries of a solid, unless they are there; returns the number of the first."""
