@@ -53,7 +53,9 @@ def scratch(real: type, rolls: bool) -> Struct:
 
 
 @functools.cache
-def kernel(real: type, has_joints: bool, rolls: bool, is_fallback: bool = False) -> wp.Kernel:
+def kernel(
+    real: type, has_joints: bool, rolls: bool, is_fallback: bool = False, is_start: bool = False
+) -> wp.Kernel:
     """Returns the solver of a step; items: one per environment.
 
     Args:
@@ -62,6 +64,8 @@ def kernel(real: type, has_joints: bool, rolls: bool, is_fallback: bool = False)
         rolls: Whether any contact has rolling or spinning resistance.
         is_fallback: Whether it runs after another solver that did not converge. It then reverts the
             ``velocity_change`` of that solver and continues its iteration count.
+        is_start: Whether it runs before another solver, where ``load_sharing.py`` cleared warm starts. It then returns
+            the last iterate as the warm start of that solver, and changes nothing else.
 
     Starts from the warm start in ``rows``. Stops at the tolerance, when rounding prevents a smaller residual, or
     after ``iterations`` iterations; then it returns the iterate with the smallest residual.
@@ -119,6 +123,9 @@ def kernel(real: type, has_joints: bool, rolls: bool, is_fallback: bool = False)
             if status[env] != ENV_ACTIVE:
                 continue
             earlier_iterations = wp.int32(0)
+            if wp.static(is_start):
+                if solve_result.was_cleared[env] == 0:
+                    continue
             if wp.static(is_fallback):
                 if solve_result.converged[env] == 1:
                     continue
@@ -132,7 +139,8 @@ def kernel(real: type, has_joints: bool, rolls: bool, is_fallback: bool = False)
                     )
             count = solve_result.count[env]
             if count == 0:
-                report_solve(solve_result, env, zero, 0, 1)
+                if wp.static(not is_start):
+                    report_solve(solve_result, env, zero, 0, 1)
                 continue
 
             clear_change(velocity_change, env)
@@ -156,7 +164,8 @@ def kernel(real: type, has_joints: bool, rolls: bool, is_fallback: bool = False)
                     scratch[env, row].arm = arm
                     scratch[env, row].turning_free = arm * spin_after(body_response, env, body_1, body_2)
             if not wp.isfinite(finite):
-                report_solve(solve_result, env, finite, 0, 0)
+                if wp.static(not is_start):
+                    report_solve(solve_result, env, finite, 0, 0)
                 continue
             spread_speed_scale(rows, velocity_change, env, count)
 
@@ -295,6 +304,8 @@ def kernel(real: type, has_joints: bool, rolls: bool, is_fallback: bool = False)
                         apply_row_wrench(rows, body_response, velocity_change, env, row, step, couple_step)
                 steps += 1
 
+            if wp.static(is_start):
+                continue
             if worst > smallest_residual:
                 # Return to the best iterate.
                 worst = smallest_residual

@@ -69,7 +69,9 @@ def add_row(real: type) -> wp.Function:
         new_row.rolling = material.rolling * radius
         new_row.spinning = material.spinning * torsion_radius
         new_row.mu = material.mu_static
+        new_row.is_new = 1
         if stored_impulses[env, contact].stamp == statistics.step[env]:
+            new_row.is_new = 0
             new_row.impulse = stored_impulses[env, contact].impulse
             new_row.couple = stored_impulses[env, contact].couple
             if stored_impulses[env, contact].mode == MODE_SLIP:

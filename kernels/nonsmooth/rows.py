@@ -44,6 +44,7 @@ def row_structs(real: type) -> RowStructs:
         recovery: real  # speed at which overlap is removed, ≥ 0 [m/s]
         impulse: vec3  # on the first; before a solve the warm start, W [N·s]
         couple: vec3  # of rolling and spinning, on the first, likewise [N·m·s]
+        is_new: wp.int32  # 1: the contact was not active in the last step
 
     @wp.struct
     class SolveResult:
@@ -54,6 +55,7 @@ def row_structs(real: type) -> RowStructs:
         residual: wp.array(dtype=real)  # [env] of ``cone.residual``, relative as in ``solver_common.py``
         iterations: wp.array(dtype=wp.int32)  # [env]
         converged: wp.array(dtype=wp.int32)  # [env] 1: the tolerance was reached
+        was_cleared: wp.array(dtype=wp.int32)  # [env] 1: warm starts were cleared, see ``load_sharing.py``
 
     return RowStructs(Row=Row, Rows=wp.array2d(dtype=Row), SolveResult=SolveResult)
 

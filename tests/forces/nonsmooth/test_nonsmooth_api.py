@@ -182,7 +182,8 @@ def test_incomplete_nonsmooth_solve_is_counted_and_warns(device):
     feet = [(x, y, -0.25) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
     for number in range(4):
         place = (0.0, 0.0, 0.25 + 0.5 * number)
-        body = add_box(scene, (0.5,) * 3, below, rigid(mu=0.5), name=f"box{number}", feet=feet, position=place)
+        motion = {"position": place, "linear_velocity": (0.001 * number, 0.0, 0.0)}
+        body = add_box(scene, (0.5,) * 3, below, rigid(mu=0.5), name=f"box{number}", feet=feet, **motion)
         below = scene.add_surface(wc.meshes.box((0.5,) * 3), body, name=f"top{number}")
     model = scene.build(envs=2, device=device, precision="float64")
     simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver="gauss_seidel", iterations=1))

@@ -136,8 +136,8 @@ def test_stacked_boxes_come_to_rest_with_overlap_recovery(device):
     assert model.sensor("scene.closed_contacts")[0] == 12
     assert model.sensor("scene.solve_failures")[0] == failures
     assert model.sensor("scene.restitution_limited")[0] == restitution_limited
-    # The remaining penetration is the fall of a body in one step, for each contact.
-    assert -4.0 * G * 1e-6 < model.sensor("box0_feet.gap").min() < 0.0
+    # The remaining penetration is at most the fall of a body in one step, for each contact.
+    assert -4.0 * G * 1e-6 < model.sensor("box0_feet.gap").min() <= 0.0
 
 
 def test_recovery_time_below_time_step_is_refused(device):

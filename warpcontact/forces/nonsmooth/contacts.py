@@ -24,7 +24,7 @@ from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.nonsmooth import build_rows, save_impulses, sequence
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs, velocity_change_struct
 from warpcontact.kernels.shapes.records import shape_contact_structs
-from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
+from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP, WORLD
 from warpcontact.scene.elements import Contact
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.scene_data import SceneData
@@ -214,7 +214,7 @@ class NonsmoothContacts(ForceElement):
             layout.array(PURPOSE, self, "impact_rows", sequence.scratch(t.real), each_row, transient=True)
         solved = {"count": (0, self.capacity), "iterations": COUNT, "converged": SWITCH}
         self.solve_result = layout.struct(
-            PURPOSE, rows.SolveResult, per_env(), transient=("slack",), ranges=solved
+            PURPOSE, rows.SolveResult, per_env(), transient=("slack", "was_cleared"), ranges=solved
         )
         self.restitution_limit = layout.struct(PURPOSE, records.RestitutionLimit, per_env(), transient=True)
         counts = dict.fromkeys(("step", "failures", "restitution_limited"), COUNT)
@@ -338,6 +338,26 @@ class NonsmoothContacts(ForceElement):
         return any(
             contact.material.parts.has_rolling or contact.material.parts.has_torsion for contact in self._nonsmooth
         )
+
+    @property
+    def shares_loads(self) -> bool:
+        """Whether two bodies may have several contacts, between which equilibrium does not determine the loads."""
+        pairs = [np.zeros((0, 2), dtype=np.int64)]
+        for contact in self._nonsmooth:
+            if isinstance(contact, ParticleContact):
+                # Each pair of particles has one contact.
+                numbers = np.concatenate([shape.body_numbers for shape in contact.shapes])
+                if len(np.unique(numbers)) < len(numbers):
+                    return True
+                continue
+            if isinstance(contact, ShapeContact):
+                sides = [contact.shape.body_numbers, contact.other_shape.body_numbers]
+            else:
+                surface = contact.surface.body
+                sides = [contact.points.body_numbers, np.array([WORLD if surface is None else surface.index])]
+            pairs.append(np.stack([np.broadcast_to(side, contact.count) for side in sides], axis=1))
+        every = np.sort(np.concatenate(pairs), axis=1)
+        return len(np.unique(every, axis=0)) < len(every)
 
     def has_restitution(self, parameters: Mapping[str, Parameter]) -> bool:
         """Returns whether any nonsmooth contact has a restitution; impacts can then add energy."""

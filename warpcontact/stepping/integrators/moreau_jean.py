@@ -13,7 +13,14 @@ import warp as wp
 from warpcontact.forces.execution_plan import ExecutionPlan, StepLength, force_stages
 from warpcontact.forces.nonsmooth.materials import IMPACT_LAWS, check_rigid
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
-from warpcontact.kernels.nonsmooth import accelerated, gauss_seidel, restitution_limiter, sequence, step
+from warpcontact.kernels.nonsmooth import (
+    accelerated,
+    gauss_seidel,
+    load_sharing,
+    restitution_limiter,
+    sequence,
+    step,
+)
 from warpcontact.stepping.integrators.base import Integrator, formulas_of
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.validation import checks
@@ -69,7 +76,8 @@ class MoreauJean(Integrator):
         theta: θ in [½, 1]. θ = ½ conserves energy between impacts.
         solver: ``"gauss_seidel"``: one contact after the other. ``"accelerated"``: all contacts simultaneously, by
             projected gradients with momentum, for heavy bodies on light ones and statically indeterminate supports.
-            ``"auto"``: the first, then the second in environments where the first did not converge.
+            ``"auto"``: the first, then the second in environments where the first did not converge. If two bodies have
+            several contacts and one is new, accelerated steps from zero come first, so that all contacts share the load.
         iterations: Maximum number of iterations per step. Default: 200 (``"gauss_seidel"``), 2000
             (``"accelerated"``).
         tolerance: Tolerance of the relative residual. Default: 1e-5 in float32, 1e-8 in float64.
@@ -154,7 +162,8 @@ class MoreauJean(Integrator):
         """Declares the nonsmooth contacts of ``model``."""
         from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
 
-        scratch = {name: KERNELS[name].scratch for name in SOLVERS[self.solver]}
+        # All solvers start with accelerated steps where loads are shared.
+        scratch = {name: KERNELS[name].scratch for name in dict.fromkeys((*SOLVERS[self.solver], "accelerated"))}
         tolerance = TOLERANCES[model.types.real] if self.tolerance is None else self.tolerance
         recovery = 0.0 if self.recovery_time is None else 1.0 / self.recovery_time
         sequential = self.impacts == "sequential"
@@ -242,13 +251,37 @@ class MoreauJean(Integrator):
         nonsmooth, real = plan.nonsmooth, plan.model.types.real
         assert nonsmooth is not None
         launches: list[wp.Launch] = []
-        options: list[dict[str, bool]] = (
-            [{}] if len(nonsmooth.scratch) == 1 else [{"has_fallback": True}, {"is_fallback": True}]
-        )
-        for (name, scratch), option in zip(nonsmooth.scratch.items(), options, strict=True):
-            iterations = ITERATIONS[name] if self.iterations is None else self.iterations
-            kernel = KERNELS[name].kernel(real, plan.model.has_joints, nonsmooth.rolls, **option)
+        solvers = SOLVERS[self.solver]
+        kinds = real, plan.model.has_joints, nonsmooth.rolls
+        if nonsmooth.shares_loads:
             launches += plan.prepare(
-                kernel, 1, status=status, iterations=iterations, scratch=scratch, **nonsmooth.problem_inputs
+                load_sharing.clear_changed_pairs(real),
+                1,
+                status=status,
+                rows=nonsmooth.rows,
+                solve_result=nonsmooth.solve_result,
+            )
+            if solvers[0] != "accelerated":
+                launches += plan.prepare(
+                    accelerated.kernel(*kinds, is_start=True),
+                    1,
+                    status=status,
+                    iterations=min(load_sharing.START_ITERATIONS, self.iterations or ITERATIONS[solvers[0]]),
+                    scratch=nonsmooth.scratch["accelerated"],
+                    **nonsmooth.problem_inputs,
+                )
+        options: list[dict[str, bool]] = (
+            [{}] if len(solvers) == 1 else [{"has_fallback": True}, {"is_fallback": True}]
+        )
+        for name, option in zip(solvers, options, strict=True):
+            iterations = ITERATIONS[name] if self.iterations is None else self.iterations
+            kernel = KERNELS[name].kernel(*kinds, **option)
+            launches += plan.prepare(
+                kernel,
+                1,
+                status=status,
+                iterations=iterations,
+                scratch=nonsmooth.scratch[name],
+                **nonsmooth.problem_inputs,
             )
         return launches

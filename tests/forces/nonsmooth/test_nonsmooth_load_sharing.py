@@ -1,0 +1,66 @@
+"""Loads that equilibrium does not determine: pads of a gripper with several contacts each."""
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+from nonsmooth_scenes import G, rigid
+
+MU = 0.5
+#: Force on each pad [N]. Holding the box of 1 kg needs m g/(2 μ) = 9.81 N.
+FORCES = np.array([20.0, 10.1, 8.0])
+
+
+def gripper(forces, one_by_one=False):
+    """A box of 1 kg between two pads that slide along x, each with four points; one environment per force."""
+    scene = wc.Scene()
+    box = scene.add_body(1.0, (2e-3,) * 3, name="box")
+    faces = scene.add_surface(wc.meshes.box((0.1, 0.1, 0.1)), box, name="faces")
+    pads = [
+        scene.add_body(0.2, (1e-4,) * 3, position=(0.06 * s, 0, 0), name=f"pad{i}", motion=wc.motions.Slider(axis=(1, 0, 0)))
+        for i, s in enumerate((-1, 1))
+    ]
+    corners = [(y, z) for y in (-0.02, 0.02) for z in (-0.02, 0.02)]
+    if one_by_one:
+        # Contacts of the two pads in turn.
+        for number, corner in enumerate(corners):
+            for pad, x in zip(pads, (0.01, -0.01), strict=True):
+                point = scene.add_point(pad, (x, *corner))
+                scene.add_contact(point, faces, rigid(mu=MU), name=f"{pad.name}_{number}")
+    else:
+        for pad, x in zip(pads, (0.01, -0.01), strict=True):
+            points = scene.add_points(pad, [(x, *corner) for corner in corners], name=f"{pad.name}_points")
+            scene.add_contact(points, faces, rigid(mu=MU), name=f"{pad.name}_touch")
+    model = scene.build(envs=len(forces), device="cpu", precision="float64")
+    for i, s in enumerate((-1, 1)):
+        model[f"pad{i}.external_force"] = np.outer(forces, (-s, 0, 0))
+    return model
+
+
+@pytest.mark.parametrize("solver", ["auto", "gauss_seidel", "accelerated"])
+def test_gripper_holds_a_box_and_shares_its_load(solver):
+    model = gripper(FORCES)
+    sim = wc.Simulation(model, dt=2e-3, integrator=wc.integrators.MoreauJean(solver=solver))
+    sim.step(1)
+    # The fourfold symmetry of each pad.
+    loads = model.sensor("pad0_touch.normal_force")
+    assert loads == pytest.approx(np.repeat(FORCES[:, None] / 4, 4, axis=1), rel=1e-2)
+    sim.step(24)
+    held, falling = slice(0, 2), 2
+    # Friction 2 μ F holds a part of the weight only.
+    acceleration = model.sensor("box.linear_velocity")[falling, 2] / (25 * 2e-3)
+    assert acceleration == pytest.approx(2 * MU * FORCES[falling] - G, rel=1e-6)
+    sim.step(1975)
+    assert np.abs(model.sensor("box.position")[held]).max() < 1e-6
+    assert np.abs(model.sensor("box.angular_velocity")[held]).max() < 1e-6
+    friction = -model.sensor("pad0_touch.friction_force")[held, :, 2].sum(axis=1)
+    assert friction == pytest.approx([G / 2, G / 2], rel=1e-5)
+    assert not model.sensor("scene.solve_failures").any()
+
+
+def test_gripper_holds_a_box_with_contacts_in_any_order():
+    model = gripper(FORCES[:2], one_by_one=True)
+    sim = wc.Simulation(model, dt=2e-3, integrator=wc.integrators.MoreauJean(solver="gauss_seidel"))
+    sim.step(500)
+    assert np.abs(model.sensor("box.position")).max() < 1e-6
+    assert np.abs(model.sensor("box.angular_velocity")).max() < 1e-6
