@@ -42,6 +42,7 @@ KERNEL_ORDER = [
     "broadphase",
     "contact",
     "body_contact",
+    "manifolds",
     "couplings",
     "particles",
     "integrators",

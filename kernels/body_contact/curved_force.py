@@ -120,6 +120,7 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
         model: Model,
         state: State,
         step: wp.array2d(dtype=real),  # [env, 0] duration over which the force acts [s]; 0: instantaneous force
+        first_pair: wp.int32,  # pair of the first item
         first_end: wp.int32,
         geometries: Geometries,
         solids: Solids,
@@ -142,7 +143,7 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
         patch_rows = wp.zeros(shape=(PATCH_COUNT, PATCH_SUMS), dtype=double)
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
-            number = task_item(launch, task)
+            number = first_pair + task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             setting = settings[env, number]

@@ -32,6 +32,7 @@ def record_structs(real: type) -> RecordStructs:
         mu_dynamic: real  # if it slipped in the last step
         rolling: real  # coefficient of rolling resistance
         spinning: real  # coefficient of resistance to spinning about the normal
+        compliance: real  # along the normal [m/N]
 
     @wp.struct
     class StoredImpulse:

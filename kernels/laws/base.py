@@ -86,6 +86,9 @@ class Rigid(Law):
     rigid = True
 
     restitution: float = parameter("-", "Newton's restitution e", default=0.0, at_least=0.0, at_most=1.0)
+    compliance: float = parameter(
+        "m/N", "compliance along the normal; then e is not used", default=0.0, at_least=0.0
+    )
 
     @wp.func
     def force(p: Any, c: Any):

@@ -54,7 +54,12 @@ def scratch(real: type, rolls: bool) -> Struct:
 
 @functools.cache
 def kernel(
-    real: type, has_joints: bool, rolls: bool, is_fallback: bool = False, is_start: bool = False
+    real: type,
+    has_joints: bool,
+    rolls: bool,
+    is_soft: bool = False,
+    is_fallback: bool = False,
+    is_start: bool = False,
 ) -> wp.Kernel:
     """Returns the solver of a step; items: one per environment.
 
@@ -62,6 +67,7 @@ def kernel(
         real: Precision.
         has_joints: Whether some bodies have joints.
         rolls: Whether any contact has rolling or spinning resistance.
+        is_soft: Whether any contact has a compliance.
         is_fallback: Whether it runs after another solver that did not converge. It then reverts the
             ``velocity_change`` of that solver and continues its iteration count.
         is_start: Whether it runs before another solver, where ``load_sharing.py`` cleared warm starts. It then returns
@@ -90,7 +96,7 @@ def kernel(
         f.residual_squared,
         f.projected_normal,
     )
-    common = solver_common.functions(real, has_joints, rolls)
+    common = solver_common.functions(real, has_joints, rolls, is_soft)
     clear_change, initialize_row, spread_speed_scale, residual_scale = (
         common.clear_change,
         common.initialize_row,
@@ -98,7 +104,8 @@ def kernel(
         common.residual_scale,
     )
     nesterov_step, apply_change, report_solve = common.nesterov_step, common.apply_change, common.report_solve
-    zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
+    soft_velocity = common.soft_velocity
+    zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
     # A step that was too long is reset to this fraction of the longest descending one; others grow.
     STEP_REDUCTION, STEP_GROWTH = wp.constant(real(0.9)), wp.constant(real(1.005))
     rounding = np.finfo(wp.dtype_to_numpy(real))
@@ -148,6 +155,10 @@ def kernel(
             for row in range(count):
                 free, rho, trace, size = initialize_row(rows, body_response, velocity_change, env, row, tolerance)
                 finite += size
+                if wp.static(is_soft):
+                    if rho > zero:
+                        # Steps must be short enough for the softest direction.
+                        rho = three / (trace + three * rows[env, row].softness)
                 scratch[env, row].rho = rho
                 scratch[env, row].free = free
                 scratch[env, row].previous = rows[env, row].impulse
@@ -194,6 +205,8 @@ def kernel(
                         velocity_change, env, body_1, rows[env, row].arm_1
                     )
                     w -= velocity_change_at(velocity_change, env, body_2, rows[env, row].arm_2)
+                    if wp.static(is_soft):
+                        w += soft_velocity(rows, env, row, impulse)
                     scratch[env, row].velocity = w
                     scale = wp.max(
                         residual_scale(velocity_change, env, body_1, body_2, rho), wp.length_sq(impulse)

@@ -82,6 +82,13 @@ def add_row(real: type) -> wp.Function:
             new_row.restitution_speed = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))
         # Overlap up to g h² is not removed, so that a resting contact stays active.
         new_row.recovery = recovery * wp.max(-gap - solve_result.slack[env], real(0.0))
+        if material.compliance > real(0.0):
+            # A spring with the force −g/c at the end of the step.
+            h = solve_result.step[env]
+            new_row.softness = material.compliance / (h * h)
+            new_row.recovery = -gap / h
+            new_row.restitution = real(0.0)
+            new_row.restitution_speed = real(0.0)
         row = solve_result.count[env]
         rows[env, row] = new_row
         solve_result.count[env] = row + 1

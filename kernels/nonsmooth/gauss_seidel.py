@@ -45,13 +45,16 @@ def scratch(real: type, rolls: bool) -> Struct:
 
 
 @functools.cache
-def kernel(real: type, has_joints: bool, rolls: bool, has_fallback: bool = False) -> wp.Kernel:
+def kernel(
+    real: type, has_joints: bool, rolls: bool, is_soft: bool = False, has_fallback: bool = False
+) -> wp.Kernel:
     """Returns the solver of a step; items: one per environment.
 
     Args:
         real: Precision.
         has_joints: Whether some bodies have joints.
         rolls: Whether any contact has rolling or spinning resistance.
+        is_soft: Whether any contact has a compliance.
         has_fallback: Whether another solver runs if this one fails. It then starts from the impulses before the
             first sweep, because the result of unconverged sweeps with heavy bodies on light ones converges slowly.
             These are the warm start or, for bodies at rest, the impulses of ``rest_impulses.py``.
@@ -92,7 +95,7 @@ def kernel(real: type, has_joints: bool, rolls: bool, has_fallback: bool = False
             rest_functions.solve_rest,
             rest_functions.zero_rest_velocities,
         )
-    common = solver_common.functions(real, has_joints, rolls)
+    common = solver_common.functions(real, has_joints, rolls, is_soft)
     clear_change, initialize_row, spread_speed_scale, residual_scale = (
         common.clear_change,
         common.initialize_row,
@@ -100,6 +103,7 @@ def kernel(real: type, has_joints: bool, rolls: bool, has_fallback: bool = False
         common.residual_scale,
     )
     nesterov_step, apply_change, report_solve = common.nesterov_step, common.apply_change, common.report_solve
+    soft_velocity = common.soft_velocity
     zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
     block_unset, block_softened = wp.constant(BLOCK_UNSET), wp.constant(BLOCK_SOFTENED)
     softening, softening_late = wp.constant(real(SOFTENING)), wp.constant(real(SOFTENING_LATE))
@@ -157,12 +161,16 @@ def kernel(real: type, has_joints: bool, rolls: bool, has_fallback: bool = False
             - impulse_response(body_response, env, body_1, arm_1, impulse)
             - impulse_response(body_response, env, body_2, arm_2, impulse)
         )
+        if wp.static(is_soft):
+            free -= soft_velocity(rows, env, row, impulse)
         previous_direction = slip / wp.sqrt(speed_squared)
         for _ in range(MAX_SLIP_ITERATIONS):
             along = n - mu * previous_direction
             response = impulse_response(body_response, env, body_1, arm_1, along) + impulse_response(
                 body_response, env, body_2, arm_2, along
             )
+            if wp.static(is_soft):
+                response += soft_velocity(rows, env, row, along)
             normal_response = wp.dot(response, n)
             approach_speed = -wp.dot(free, n)
             if rho * normal_response <= softening or approach_speed <= zero:
@@ -200,6 +208,8 @@ def kernel(real: type, has_joints: bool, rolls: bool, has_fallback: bool = False
             rho = scratch[env, row].rho
             W = block_of(body_response, env, rows[env, row].body_1, rows[env, row].arm_1)
             W += block_of(body_response, env, rows[env, row].body_2, rows[env, row].arm_2)
+            if wp.static(is_soft):
+                W += rows[env, row].softness * wp.outer(n, n)
             inverse, invertible = invert_symmetric(W)
             if rho > zero and (block_state == block_softened or invertible == 0):
                 added = wp.where(block_state == block_softened, softening_late, softening) / rho
@@ -263,6 +273,9 @@ def kernel(real: type, has_joints: bool, rolls: bool, has_fallback: bool = False
             final_sweep = wp.where(iterations <= 0, 1, 0)
             sweeps = wp.int32(0)
             rest_tried = final_sweep
+            if wp.static(is_soft):
+                # Impulses that stop the bodies would also have to deform the contacts.
+                rest_tried = wp.int32(1)
             rest_sweeps = wp.int32(0)
             guess_saved = wp.int32(0)
             if wp.static(rolls):
@@ -300,6 +313,8 @@ def kernel(real: type, has_joints: bool, rolls: bool, has_fallback: bool = False
                     )
                     w = scratch[env, row].free + velocity_change_at(velocity_change, env, body_1, arm_1)
                     w -= velocity_change_at(velocity_change, env, body_2, arm_2)
+                    if wp.static(is_soft):
+                        w += soft_velocity(rows, env, row, impulse)
                     residual = zero  # squared and relative
                     if unchecked == 0:
                         residual = residual_squared(impulse, w, n, mu, rho) / scale

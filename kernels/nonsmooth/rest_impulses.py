@@ -55,6 +55,9 @@ def functions(real: type, Scratch: type) -> Functions:
     @wp.func
     def load_weight(rows: Rows, env: int, row: int, by_load: int):
         """Returns the weight of a row in the distribution of the impulse of its body."""
+        if rows[env, row].recovery < zero:
+            # An open contact carries no load.
+            return zero
         return wp.where(by_load == 1, wp.dot(rows[env, row].impulse, rows[env, row].normal), one)
 
     @wp.func

@@ -41,10 +41,13 @@ def row_structs(real: type) -> RowStructs:
         restitution_speed: (
             real  # separation speed after impact, ≥ 0 [m/s]: e × approach speed, or from ``sequence``
         )
-        recovery: real  # speed at which overlap is removed, ≥ 0 [m/s]
+        # Speed at which overlap is removed; if negative, minus the speed at which an open contact may close [m/s].
+        recovery: real
+        # Additional separation speed per normal impulse, compliance / h² [1/kg]; only with ``is_soft`` of the solvers.
+        softness: real
         impulse: vec3  # on the first; before a solve the warm start, W [N·s]
         couple: vec3  # of rolling and spinning, on the first, likewise [N·m·s]
-        is_new: wp.int32  # 1: the contact was not active in the last step
+        is_new: wp.int32  # 1: the contact was not active in the last step, or its warm start is bad
 
     @wp.struct
     class SolveResult:
@@ -52,6 +55,7 @@ def row_structs(real: type) -> RowStructs:
 
         count: wp.array(dtype=wp.int32)  # [env] rows
         slack: wp.array(dtype=real)  # [env] overlap that is not removed [m]
+        step: wp.array(dtype=real)  # [env] step length h [s]
         residual: wp.array(dtype=real)  # [env] of ``cone.residual``, relative as in ``solver_common.py``
         iterations: wp.array(dtype=wp.int32)  # [env]
         converged: wp.array(dtype=wp.int32)  # [env] 1: the tolerance was reached

@@ -91,6 +91,9 @@ def kernel(real: type, has_joints: bool) -> wp.Kernel:
                 body_response, env, rows[env, row].body_2, rows[env, row].arm_2, n
             )
             impact_rows[env, row].response = wp.dot(response_velocity, n)
+            if rows[env, row].recovery < zero:
+                # An open contact has no impact.
+                impact_rows[env, row].response = zero
             impact_rows[env, row].was_hit = 0
             elastic = elastic or rows[env, row].restitution > zero
         return elastic

@@ -20,7 +20,9 @@ class Functions(NamedTuple):
     """Device functions that the solvers of a step share."""
 
     clear_change: wp.Function  # sets all velocity changes to zero
+    separation_speed: wp.Function  # least separation speed of a row after the step [m/s]
     initialize_row: wp.Function  # applies the warm start of a row; q, ρ, trace of its block, finiteness check
+    soft_velocity: wp.Function  # velocity of a row by its own compliance, W [m/s]
     spread_speed_scale: wp.Function  # assigns the same V to all bodies connected by contacts
     residual_scale: wp.Function  # (ρ V)² of a row between two bodies [N²·s²]
     nesterov_step: wp.Function  # next θ of Nesterov's method, and the factor for extrapolation
@@ -29,10 +31,10 @@ class Functions(NamedTuple):
 
 
 @functools.cache
-def functions(real: type, has_joints: bool, rolls: bool) -> Functions:
+def functions(real: type, has_joints: bool, rolls: bool, is_soft: bool = False) -> Functions:
     """Returns the device functions for ``real``; with ``has_joints`` some bodies have joints.
 
-    With ``rolls`` some contacts have rolling or spinning resistance.
+    With ``rolls`` some contacts have rolling or spinning resistance, with ``is_soft`` some have a compliance.
     """
     t = structs(real)
     vec3 = t.vec3
@@ -71,6 +73,14 @@ def functions(real: type, has_joints: bool, rolls: bool) -> Functions:
             velocity_change[env, body].speed_squared = zero
 
     @wp.func
+    def separation_speed(rows: Rows, env: int, row: int):
+        """Returns the least separation speed of a row after the step; negative for an open contact [m/s]."""
+        speed = rows[env, row].recovery
+        if rows[env, row].restitution_speed > zero:
+            speed = wp.max(rows[env, row].restitution_speed, speed)
+        return speed
+
+    @wp.func
     def initialize_row(
         rows: Rows,
         body_response: BodyResponse,
@@ -88,7 +98,7 @@ def functions(real: type, has_joints: bool, rolls: bool) -> Functions:
         arm_1 = rows[env, row].arm_1
         arm_2 = rows[env, row].arm_2
         free = velocity(body_response, env, body_1, body_2, arm_1, arm_2)
-        free -= wp.max(rows[env, row].restitution_speed, rows[env, row].recovery) * rows[env, row].normal
+        free -= separation_speed(rows, env, row) * rows[env, row].normal
         response_1 = response_trace(body_response, env, body_1, arm_1)
         response_2 = response_trace(body_response, env, body_2, arm_2)
         trace = response_1 + response_2
@@ -120,6 +130,14 @@ def functions(real: type, has_joints: bool, rolls: bool) -> Functions:
         update_speed_scale(velocity_change, env, body_1, speed_squared, response_1)
         update_speed_scale(velocity_change, env, body_2, speed_squared, response_2)
         return free, rho, trace, wp.length_sq(free) + wp.length_sq(impulse)
+
+    @wp.func
+    def soft_velocity(rows: Rows, env: int, row: int, impulse: vec3):
+        """Returns the velocity of a row by its own compliance; 0 without ``is_soft``, W [m/s]."""
+        if wp.static(not is_soft):
+            return vec3()
+        n = rows[env, row].normal
+        return (rows[env, row].softness * wp.dot(impulse, n)) * n
 
     @wp.func
     def spread_speed_scale(rows: Rows, velocity_change: VelocityChange, env: int, count: int):
@@ -177,7 +195,9 @@ def functions(real: type, has_joints: bool, rolls: bool) -> Functions:
 
     return Functions(
         clear_change=clear_change,
+        separation_speed=separation_speed,
         initialize_row=initialize_row,
+        soft_velocity=soft_velocity,
         spread_speed_scale=spread_speed_scale,
         residual_scale=residual_scale,
         nesterov_step=nesterov_step,

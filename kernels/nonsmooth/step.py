@@ -78,6 +78,7 @@ def half_step(real: type, has_joints: bool) -> wp.Kernel:
             if body == 0:
                 solve_result.count[env] = 0
                 h = step[env, 0]
+                solve_result.step[env] = h
                 solve_result.slack[env] = h * h * wp.length(model.gravity[env, 0])
                 restitution_limit.factor[env] = real(1.0)
             v_W = state_in.body_linear_velocity[env, body]

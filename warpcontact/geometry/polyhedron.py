@@ -25,6 +25,7 @@ class Polyhedron:
         vertices: Vertices, (V, 3), in the unit of the mesh.
         faces: Vertices of each face, counter-clockwise as seen from outside, (F, 4); the last of a triangle is −1.
         plane_faces: The first face of each group of connected faces in one plane, (P,).
+        face_planes: The group of each face, (F,).
         is_closed: Whether it has no boundary.
         tree: Tree of the faces, in whose order they are.
     """
@@ -32,6 +33,7 @@ class Polyhedron:
     vertices: Array
     faces: NDArray[np.int32]
     plane_faces: NDArray[np.int32]
+    face_planes: NDArray[np.int32]
     is_closed: bool
     tree: FaceTree
 
@@ -44,11 +46,12 @@ class Polyhedron:
         *,
         is_closed: bool,
     ) -> "Polyhedron":
-        """Returns the polyhedron of convex faces, sorted by the leaves of their tree."""
+        """Returns the polyhedron of convex faces, sorted by the leaves of their tree; those of a plane are consecutive."""
         tree = FaceTree.from_faces(vertices, faces)
         sorted_number = np.empty(len(faces), dtype=np.int32)
         sorted_number[tree.order] = np.arange(len(faces), dtype=np.int32)
-        return cls(vertices, faces[tree.order], sorted_number[plane_faces], is_closed, tree)
+        planes = np.searchsorted(plane_faces, tree.order, side="right").astype(np.int32) - 1
+        return cls(vertices, faces[tree.order], sorted_number[plane_faces], planes, is_closed, tree)
 
     @classmethod
     def from_mesh(cls, mesh: Mesh) -> "Polyhedron":

@@ -119,8 +119,8 @@ class DeviceModel(Environments, ModelTraits):
         # Nonsmooth contacts and monitor of the simulation that stepped last.
         self.nonsmooth: NonsmoothContacts | None = None
         self.monitor: Monitor | None = None
-        # Whether a nonsmooth contact has a nonzero restitution.
-        self.has_restitution = False
+        # Whether a nonsmooth contact has a nonzero restitution or compliance.
+        self.has_restitution = self.has_compliance = False
         # Whether the user has access to the arrays of external forces.
         self.external_exposed = False
         self._device_fields = plan.parameters.device_fields  # kept alive: broadcast arrays do not own their memory
@@ -155,10 +155,12 @@ class DeviceModel(Environments, ModelTraits):
         model = self.arrays.model
         return External(force=model.body_external_force, torque=model.body_external_torque)
 
-    def _update_restitution_flag(self) -> None:
-        has_restitution = self.nonsmooth is not None and self.nonsmooth.has_restitution(self.parameters)
-        if self.has_restitution != has_restitution:
-            self.has_restitution = has_restitution
+    def _update_nonsmooth_flags(self) -> None:
+        nonsmooth = self.nonsmooth
+        has_restitution = nonsmooth is not None and nonsmooth.has_restitution(self.parameters)
+        has_compliance = nonsmooth is not None and nonsmooth.has_compliance(self.parameters)
+        if (self.has_restitution, self.has_compliance) != (has_restitution, has_compliance):
+            self.has_restitution, self.has_compliance = has_restitution, has_compliance
             self.revision += 1
 
     def attach_simulation(self, nonsmooth: "NonsmoothContacts | None", monitor: "Monitor | None" = None) -> None:
@@ -200,7 +202,7 @@ class DeviceModel(Environments, ModelTraits):
         if nonsmooth is not None:
             nonsmooth.activate(self)
             self.sensors.update((own.name, own) for own in nonsmooth.sensors())
-        self._update_restitution_flag()
+        self._update_nonsmooth_flags()
         # Force kernels do not write the entries of nonsmooth contacts.
         active_contacts, end_wrenches = self.arrays.active_contacts, self.arrays.end_wrenches
         for array in (
@@ -348,7 +350,7 @@ class DeviceModel(Environments, ModelTraits):
         if self.has_external_forces != (pushed := self._has_external_force()):
             self.has_external_forces = pushed
             self.revision += 1
-        self._update_restitution_flag()
+        self._update_nonsmooth_flags()
         # Cached distances may be invalid after changes of radii, poses or meshes.
         cache = self.arrays.cache
         clusters = (cache.cluster_safe_travel, cache.cluster_probe_travel, cache.cluster_inactive)

@@ -44,6 +44,7 @@ class DeviceModelPlan(ModelTraits):
         meshes: Warp meshes of the queries; created by ``allocate``.
         zero_step: ``None``; an array in ``DeviceModel``.
         has_restitution: True, because nonsmooth contacts may have a restitution; see ``DeviceModel``.
+        has_compliance: False: kernels of nonsmooth contacts with a compliance are compiled on demand.
     """
 
     scene: SceneData
@@ -61,6 +62,7 @@ class DeviceModelPlan(ModelTraits):
     meshes: list[wp.Mesh]
     zero_step: None = None
     has_restitution: bool = True
+    has_compliance: bool = False
 
     @property
     def parameters_by_name(self) -> dict[str, Parameter]:

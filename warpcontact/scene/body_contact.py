@@ -80,6 +80,12 @@ class BodyContact:
         return len(self.pairs) == 1
 
     @property
+    def curved_solid(self) -> Shape | None:
+        """The first of its solids with a curved surface; ``None``: it has none."""
+        solids = (solid for pair in self.pairs for solid in pair)
+        return next((one for one in solids if isinstance(one, Shape) and one.kind in CURVED), None)
+
+    @property
     def parts(self) -> ContactModel:
         """The contact model: classes of law and friction models, for which a kernel is compiled."""
         return self.material.parts
@@ -297,11 +303,6 @@ def _checked_material(name: str, material: Any) -> ContactMaterial:
     if not isinstance(material, ContactMaterial):
         raise TypeError(f"material of {name!r} must be a wc.ContactMaterial, got {material!r}")
     law, friction = material.law, material.friction
-    if law.rigid:
-        raise ValueError(
-            f"{name}: the law of its material is {type(law).__name__}; body contact needs a compliant law. add_contact and "
-            "add_shape_contact support nonsmooth contact"
-        )
     for part in ("rolling", "torsion"):
         formula = material.formulas[part]
         if not isinstance(formula, Frictionless):

@@ -119,7 +119,6 @@ def test_unsupported_solids_are_refused(names, message):
 @pytest.mark.parametrize(
     ("material", "message"),
     [
-        (wc.ContactMaterial(law=wc.laws.Rigid()), "is Rigid; body contact needs a compliant law"),
         (wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1.0, area=1.0)), "has an area; leave it out"),
         (wc.ContactMaterial(law=wc.laws.HertzElastic(modulus=1e9)), "needs a radius of curvature"),
         (
@@ -143,14 +142,6 @@ def test_rounded_edges_are_refused_as_a_parameter():
     ):
         model["box.radius"] = [0.0, 0.01]
     np.testing.assert_array_equal(model["box.radius"], 0.0)
-
-
-def test_moreau_jean_needs_compliant_body_contact():
-    scene, (box, floor) = scene_with("box", "floor")
-    scene.add_body_contact(box, floor, MATERIAL, name="press")
-    model = scene.build(envs=1, device="cpu")
-    with pytest.raises(ValueError, match="press: MoreauJean supports body contact as a compliant contact only"):
-        wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean())
 
 
 def test_lists_count_each_pair_once():

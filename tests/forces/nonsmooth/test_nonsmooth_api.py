@@ -263,8 +263,8 @@ def test_memory_estimate_includes_nonsmooth_contacts(device):
     shared = sum(need.size for need in needs)
     model["touch.friction.mu"] = np.linspace(0.1, 0.2, 100)
     own = sum(need.size for need in simulation.memory().items if need.purpose == "nonsmooth contacts")
-    # Five numbers for the only contact, in each environment.
-    assert own - shared == 99 * 20
+    # Six numbers for the only contact, in each environment.
+    assert own - shared == 99 * 24
     assert "nonsmooth contacts" not in [
         need.purpose
         for need in wc.Simulation(

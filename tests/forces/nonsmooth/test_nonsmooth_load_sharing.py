@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from nonsmooth_scenes import G, rigid
 
 import warpcontact as wc
-from nonsmooth_scenes import G, rigid
 
 MU = 0.5
 #: Force on each pad [N]. Holding the box of 1 kg needs m g/(2 μ) = 9.81 N.
@@ -17,7 +17,9 @@ def gripper(forces, one_by_one=False):
     box = scene.add_body(1.0, (2e-3,) * 3, name="box")
     faces = scene.add_surface(wc.meshes.box((0.1, 0.1, 0.1)), box, name="faces")
     pads = [
-        scene.add_body(0.2, (1e-4,) * 3, position=(0.06 * s, 0, 0), name=f"pad{i}", motion=wc.motions.Slider(axis=(1, 0, 0)))
+        scene.add_body(
+            0.2, (1e-4,) * 3, position=(0.06 * s, 0, 0), name=f"pad{i}", motion=wc.motions.Slider(axis=(1, 0, 0))
+        )
         for i, s in enumerate((-1, 1))
     ]
     corners = [(y, z) for y in (-0.02, 0.02) for z in (-0.02, 0.02)]
@@ -64,3 +66,49 @@ def test_gripper_holds_a_box_with_contacts_in_any_order():
     sim.step(500)
     assert np.abs(model.sensor("box.position")).max() < 1e-6
     assert np.abs(model.sensor("box.angular_velocity")).max() < 1e-6
+
+
+@pytest.mark.parametrize("solver", ["auto", "accelerated"])
+def test_compliance_is_a_spring_at_each_contact(solver):
+    """A block off its center on four points sinks by c times the load of each, which decreases linearly across it."""
+    compliance = np.array([1e-9, 1e-8, 1e-7])
+    scene = wc.Scene()
+    floor = scene.add_surface(wc.meshes.grid((2.0, 2.0), (3, 3)), name="floor")
+    body = scene.add_body(8.0, (0.05,) * 3, position=(0, 0, 0.1), name="block")
+    feet = [(x, y, -0.1) for x in (-0.1, 0.2) for y in (-0.1, 0.1)]
+    material = wc.ContactMaterial(law=wc.laws.Rigid(compliance=0.0), friction=wc.friction.Coulomb(mu=MU))
+    scene.add_contact(scene.add_points(body, feet, name="feet"), floor, material, name="touch")
+    model = scene.build(envs=len(compliance), device="cpu", precision="float64")
+    wc.Simulation(model, dt=2e-3, integrator=wc.integrators.MoreauJean(solver=solver)).step(5)
+    assert np.abs(model.sensor("touch.gap")).max() < 1e-9
+    # The value changes between steps, and needs other kernels.
+    model["touch.law.compliance"] = compliance
+    sim = wc.Simulation(model, dt=2e-3, integrator=wc.integrators.MoreauJean(solver=solver))
+    sim.step(300)
+    loads = 8.0 * G * np.array([1 / 3, 1 / 3, 1 / 6, 1 / 6])
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), [loads] * 3, rtol=1e-5)
+    np.testing.assert_allclose(model.sensor("touch.penetration"), np.outer(compliance, loads), rtol=1e-4)
+    assert np.abs(model.sensor("block.linear_velocity")).max() < 1e-8
+    assert not model.sensor("scene.solve_failures").any()
+
+
+def test_compliant_pads_share_loads_from_any_start():
+    """With a compliance the loads are unique: equal on the points of a pad."""
+    model = gripper(FORCES[:2])
+    for i in range(2):
+        model[f"pad{i}_touch.law.compliance"] = 1e-8
+    sim = wc.Simulation(model, dt=2e-3, integrator=wc.integrators.MoreauJean(solver="gauss_seidel"))
+    sim.step(500)
+    loads = model.sensor("pad0_touch.normal_force")
+    np.testing.assert_allclose(loads, np.repeat(FORCES[:2, None] / 4, 4, axis=1), rtol=1e-3)
+    assert np.abs(model.sensor("box.position")).max() < 1e-6
+    assert np.abs(model.sensor("box.angular_velocity")).max() < 1e-6
+
+
+def test_event_driven_simulation_refuses_compliance():
+    model = gripper(FORCES[:1])
+    model["pad0_touch.law.compliance"] = 1e-8
+    with pytest.raises(
+        ValueError, match=r"pad0_touch\.law\.compliance must be 0 m/N for this method, got 1e-08 m/N"
+    ):
+        wc.unilateral.EventDriven(model)

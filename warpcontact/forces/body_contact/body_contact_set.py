@@ -9,9 +9,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.body_contact.curved_shapes import is_curved
+from warpcontact.forces.body_contact.manifold_set import ManifoldSet
 from warpcontact.forces.body_contact.solid_tables import SolidTables
 from warpcontact.forces.body_contact.step_warnings import body_contact_warnings
 from warpcontact.forces.contact_groups import add_material_parameters, compile_force_kernel
+from warpcontact.forces.contact_warnings import is_nonsmooth, nonsmooth_overlap_warnings
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget
 from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
@@ -80,6 +82,8 @@ class BodyContactSet(ForceElement):
         count: Number of pairs.
         first_end: Number of the first end. Pair i has the ends ``first_end`` + 2 i (first body) and
             ``first_end`` + 2 i + 1 (second body).
+        manifolds: Manifolds of all pairs if the law is rigid; otherwise ``None``, and a simulation with nonsmooth contact
+            declares them.
     """
 
     family = "body contact"
@@ -109,6 +113,8 @@ class BodyContactSet(ForceElement):
         self.first_end = 2 * context.ends.add(tables.bodies[numbers])
         self._declare(context.layout, numbers)
         self._add_settings(context.parameters)
+        rigid = self.parts.law.rigid
+        self.manifolds = ManifoldSet(self, self.items, context.layout) if rigid else None
         add_material_parameters(tuple(self.items), self.parts, self.coefficients, context.parameters, self.real)
 
     @property
@@ -175,32 +181,38 @@ class BodyContactSet(ForceElement):
     def force_launches(
         self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
     ) -> list[wp.Launch]:
-        """Returns the launches that compute overlaps and forces in ``state``."""
+        """Returns the launches that compute overlaps and forces in ``state``, or manifolds of nonsmooth contacts."""
         a = plan.model.arrays
         tables = self.tables
         common = {"status": status, "state": state, "geometries": tables.geometries, "solids": tables.solids}
         launches: list[wp.Launch] = []
         if self.computes_boxes:
             launches = plan.prepare(bounds.solid_boxes(self.real), tables.count, boxes=tables.boxes, **common)
-        for kernel in self.kernels:
-            launches += plan.prepare(
-                kernel,
-                self.count,
-                model=a.model,
-                step=step,
-                first_end=self.first_end,
-                boxes=tables.boxes,
-                pairs=self.pairs,
-                settings=self.settings,
-                coefficients=self.coefficients,
-                history_in=self.memory,
-                history_out=self.history_out,
-                patches_in=self.patches,
-                patches_out=self.patches_out,
-                body_contacts=self.body_contacts,
-                ends=a.end_wrenches,
-                **common,
-            )
+        acting = [(0, self.count)] if plan.nonsmooth is None else plan.nonsmooth.compliant_items(self.items)
+        for first, count in [] if self.parts.law.rigid else acting:
+            for kernel in self.kernels:
+                launches += plan.prepare(
+                    kernel,
+                    count,
+                    model=a.model,
+                    step=step,
+                    first_pair=first,
+                    first_end=self.first_end,
+                    boxes=tables.boxes,
+                    pairs=self.pairs,
+                    settings=self.settings,
+                    coefficients=self.coefficients,
+                    history_in=self.memory,
+                    history_out=self.history_out,
+                    patches_in=self.patches,
+                    patches_out=self.patches_out,
+                    body_contacts=self.body_contacts,
+                    ends=a.end_wrenches,
+                    **common,
+                )
+        manifolds = self.manifolds if plan.nonsmooth is None else plan.nonsmooth.manifolds_of(self)
+        if manifolds is not None:
+            launches += manifolds.find_launches(plan, state, step, status)
         return launches
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
@@ -220,6 +232,8 @@ class BodyContactSet(ForceElement):
     def reset_state(self, chosen: wp.array) -> None:
         """Clears entry speeds, patches and history in the environments of the mask ``chosen`` [env]."""
         envs, device = len(chosen), chosen.device
+        if self.manifolds is not None:
+            self.manifolds.reset_state(chosen)
         inputs = [chosen, self.body_contacts]
         wp.launch(acceptance.reset_contacts(self.real), dim=(envs, self.count), inputs=inputs, device=device)
         if self.has_patches:
@@ -228,9 +242,19 @@ class BodyContactSet(ForceElement):
             kernel = reset.memory(self.parts.friction, self.real)
             wp.launch(kernel, dim=dim, inputs=[chosen, self.memory.friction], device=device)
 
+    def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
+        """Returns whether some contacts are nonsmooth, whose initial penetration is checked."""
+        return any(is_nonsmooth(contact.name, nonsmooth) for contact in self.items)
+
     def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
-        """Returns the warnings about the time step."""
-        return [sentence for contact in self.items for sentence in body_contact_warnings(model, contact, self, dt)]
+        """Returns the warnings about the time step, and about initial penetration of nonsmooth contacts."""
+        sentences = []
+        for contact in self.items:
+            if is_nonsmooth(contact.name, nonsmooth):
+                sentences += nonsmooth_overlap_warnings(model, f"{contact.name}.depth", dt, nonsmooth)
+            else:
+                sentences += body_contact_warnings(model, contact, self, dt)
+        return sentences
 
     def sensors(self) -> Iterator[Sensor]:
         """Yields the sensors of the body contacts."""

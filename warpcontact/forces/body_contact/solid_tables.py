@@ -8,7 +8,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.body_contact.curved_shapes import CURVED_KINDS, curved_scale, is_curved, size_names
+from warpcontact.forces.body_contact.feature_tables import declare_features
 from warpcontact.geometry.polyhedron import Polyhedron
+from warpcontact.geometry.polyhedron_features import has_convex_features
 from warpcontact.kernels.body_contact.solids import (
     FEW_PLANES,
     HALF_SPACE,
@@ -19,6 +21,7 @@ from warpcontact.kernels.body_contact.solids import (
     Solids,
 )
 from warpcontact.kernels.body_contact.surface_queries import SolidBoxes
+from warpcontact.kernels.manifolds.features import Features
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.rounded_box import RoundedBox
@@ -133,6 +136,22 @@ class SolidTables:
             return sizes[0]
         kind = CURVED_KINDS[solid.kind]
         return 0.5 * (kind.upper - kind.lower) * curved_scale(solid.kind, sizes)
+
+    def has_one_patch(self, first: Solid, second: Solid) -> bool:
+        """Returns whether all points of two solids have one normal: with a half-space, or if both are convex."""
+        geometries = [self._geometries_of(solid) for solid in (first, second)]
+        return geometries[1] == [Plane] or all(
+            isinstance(one, Polyhedron) and has_convex_features(one) for own in geometries for one in own
+        )
+
+    def _geometries_of(self, solid: Solid) -> list[Polyhedron | type[Form]]:
+        first = self._first[self._numbers[solid]]
+        return self._geometries[first : first + (len(solid.meshes) if isinstance(solid, Surface) else 1)]
+
+    def declare_features(self, layout: "AllocationPlan") -> Features:
+        """Declares the features of the geometries, for manifolds."""
+        polyhedra = [one if isinstance(one, Polyhedron) else None for one in self._geometries]
+        return declare_features(polyhedra, layout, _PURPOSE)
 
     def _add_geometries(self, solid: Solid) -> int:
         """Adds the geometries of a solid, unless they are there; returns the number of the first."""

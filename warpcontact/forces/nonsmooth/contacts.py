@@ -5,16 +5,17 @@ In each step, closed contacts are collected as rows (``build_rows``), a solver c
 (``save_impulses``). Kernels: ``kernels/nonsmooth``.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.body_contact.manifold_set import ManifoldSet, nonsmooth_contacts
 from warpcontact.forces.contact_groups import ContactGroup, group_by_model
 from warpcontact.forces.force_element import ForceElement
+from warpcontact.forces.nonsmooth.contact_items import ItemList, Scratch, runs_of, share_loads, slice_of
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP, NonsmoothSource, material_upload, parameters_of
 from warpcontact.forces.nonsmooth.minima import NonsmoothMinima
 from warpcontact.forces.nonsmooth.sensors import OF_SCENE
@@ -24,7 +25,7 @@ from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.nonsmooth import build_rows, save_impulses, sequence
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs, velocity_change_struct
 from warpcontact.kernels.shapes.records import shape_contact_structs
-from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP, WORLD
+from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
 from warpcontact.scene.elements import Contact
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.scene_data import SceneData
@@ -39,6 +40,7 @@ from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.launches import launch_kernel
 
 if TYPE_CHECKING:
+    from warpcontact.forces.body_contact.body_contact_set import BodyContactSet
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
     from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
     from warpcontact.model.model import DeviceModel
@@ -48,44 +50,14 @@ if TYPE_CHECKING:
 PURPOSE = "nonsmooth contacts"
 
 
-@dataclass(eq=False)
-class _Scratch:
-    """Working memory of a solver.
-
-    Attributes:
-        rows: Data of each row [env, row]; ``None`` before allocation.
-    """
-
-    rows: Any = None
-
-
-@dataclass
-class _ItemList:
-    """List of the nonsmooth items of an array of contacts.
-
-    Attributes:
-        first: Contact number of the first item of the array.
-        numbers: Indices of the nonsmooth items.
-        items: These indices, on the device.
-    """
-
-    first: int
-    numbers: NDArray[np.int_]
-    items: Any = None
-
-    @property
-    def count(self) -> int:
-        """Number of nonsmooth items."""
-        return len(self.numbers)
-
-
 class NonsmoothContacts(ForceElement):
     """Device data of nonsmooth contacts, in addition to the model.
 
     A force element of a simulation. It acts by impulses, which the integrator computes, and has no force launches.
 
-    Contacts are numbered: mesh contacts in device order, then shape contacts, then pair records of nonsmooth particle
-    contacts. Materials are numbered in the same order, with one material per particle contact.
+    Contacts are numbered: mesh contacts in device order, then shape contacts, then points of manifolds of nonsmooth body
+    contacts, then pair records of nonsmooth particle contacts. Materials are numbered in the same order, with one material
+    per pair of body contacts and one per particle contact.
 
     Args:
         model: The model, or its plan.
@@ -142,9 +114,11 @@ class NonsmoothContacts(ForceElement):
         rows, records = row_structs(t.real), record_structs(t.real)
         contacts = [contact for group in group_by_model(scene.contacts) for contact in group]
         starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
-        meshes = {contact: _slice(start, contact.count) for contact, start in zip(contacts, starts, strict=False)}
+        meshes = {
+            contact: slice_of(start, contact.count) for contact, start in zip(contacts, starts, strict=False)
+        }
         self._blocks_of = {
-            contact: _slice(*model.clusters.range_of_contacts(own.start, contact.count))
+            contact: slice_of(*model.clusters.range_of_contacts(own.start, contact.count))
             for contact, own in meshes.items()
         }
         self._mesh = self._item_list(0, meshes, layout)
@@ -154,7 +128,7 @@ class NonsmoothContacts(ForceElement):
         self._mesh_blocks = self._item_list(0, {one: self._blocks_of[one] for one in nearest}, layout)
         # Range of sensor values of each mesh or shape contact.
         self._displayed: dict[Contact | ShapeContact, slice] = dict(meshes.items())
-        self._shape_contact_sets: list[tuple[ShapeContactSet, _ItemList]] = []
+        self._shape_contact_sets: list[tuple[ShapeContactSet, ItemList]] = []
         for one in model.of_family("shape contact"):
             first = starts[-1] + one.first
             self._displayed |= {
@@ -162,14 +136,24 @@ class NonsmoothContacts(ForceElement):
             }
             self._shape_contact_sets.append((one, self._item_list(first, one.items, layout)))
         count = starts[-1] + sum(one.count for one, _ in self._shape_contact_sets)
-        stored_count = count
+        stored_count = material_count = count
+        # Manifolds of nonsmooth body contacts, with the numbers of their first point and of their first material.
+        self._manifold_sets: dict[BodyContactSet, tuple[ManifoldSet, int, int]] = {}
+        for body_contacts in model.of_family("body contact"):
+            if rigid := nonsmooth_contacts(body_contacts, self.compliant):
+                manifolds = body_contacts.manifolds or ManifoldSet(body_contacts, rigid, layout)
+                self._manifold_sets[body_contacts] = manifolds, stored_count, material_count
+                stored_count += manifolds.slot_count
+                material_count += manifolds.count
         self._first_records: dict[ParticleContact, int] = {}
         self._particle_contact_sets: list[
             tuple[ParticleContactSet, int]
         ] = []  # nonsmooth ones, with the number of their material
         for particle_set in model.of_family("particle contact"):
             if not self.is_compliant(particle_set.contact.name):
-                self._particle_contact_sets.append((particle_set, count + len(self._particle_contact_sets)))
+                self._particle_contact_sets.append(
+                    (particle_set, material_count + len(self._particle_contact_sets))
+                )
                 self._first_records[particle_set.contact] = stored_count
                 stored_count += particle_set.slots
         self._minima: list[NonsmoothMinima] = []
@@ -184,8 +168,10 @@ class NonsmoothContacts(ForceElement):
                 stored_count += self._minima[-1].stored_count
         self.capacity = self._nearest.count + sum(one.row_count for one in self._minima)
         self.capacity += sum(own.count for _, own in self._shape_contact_sets)
+        self.capacity += sum(manifolds.slot_count for manifolds, _, _ in self._manifold_sets.values())
         self.capacity += sum(particle_set.slots for particle_set, _ in self._particle_contact_sets)
-        everything = (*self._displayed, *self._first_records)
+        bodies_in_contact = [one for manifolds, _, _ in self._manifold_sets.values() for one in manifolds.contacts]
+        everything = (*self._displayed, *bodies_in_contact, *self._first_records)
         self._nonsmooth = [contact for contact in everything if not self.is_compliant(contact.name)]
 
         bodies, each_row = per_env(model.body_count), per_env(max(1, self.capacity))
@@ -205,7 +191,7 @@ class NonsmoothContacts(ForceElement):
             layout.array(
                 PURPOSE, self, name, struct, shape, transient=name != "stored_impulses", ranges=remembered
             )
-        self._scratch = {name: _Scratch() for name in scratch}
+        self._scratch = {name: Scratch() for name in scratch}
         for name, make in scratch.items():
             owner, struct = self._scratch[name], make(t.real, self.rolls)
             layout.array(PURPOSE, owner, "rows", struct, each_row, transient=True)
@@ -214,7 +200,7 @@ class NonsmoothContacts(ForceElement):
             layout.array(PURPOSE, self, "impact_rows", sequence.scratch(t.real), each_row, transient=True)
         solved = {"count": (0, self.capacity), "iterations": COUNT, "converged": SWITCH}
         self.solve_result = layout.struct(
-            PURPOSE, rows.SolveResult, per_env(), transient=("slack", "was_cleared"), ranges=solved
+            PURPOSE, rows.SolveResult, per_env(), transient=("slack", "step", "was_cleared"), ranges=solved
         )
         self.restitution_limit = layout.struct(PURPOSE, records.RestitutionLimit, per_env(), transient=True)
         counts = dict.fromkeys(("step", "failures", "restitution_limited"), COUNT)
@@ -230,15 +216,16 @@ class NonsmoothContacts(ForceElement):
             NonsmoothSource(one, one.material.formulas, own.stop - own.start)
             for one, own in self._displayed.items()
         ]
+        self._materials += [NonsmoothSource(one, one.formulas, one.count) for one in bodies_in_contact]
         self._materials += [NonsmoothSource(one, one.formulas, 1) for one in self._first_records]
 
-    def _item_list(self, first: int, items: Mapping[Any, slice], layout: AllocationPlan) -> _ItemList:
+    def _item_list(self, first: int, items: Mapping[Any, slice], layout: AllocationPlan) -> ItemList:
         """Declares the list of the nonsmooth ones of ``items``, given by contact."""
         nonsmooth = [
             np.arange(own.start, own.stop) for contact, own in items.items() if not self.is_compliant(contact.name)
         ]
         numbers = np.concatenate([np.zeros(0, np.int64), *nonsmooth])
-        made = _ItemList(first, numbers)
+        made = ItemList(first, numbers)
         # Warp needs at least one element.
         layout.constant(PURPOSE, made, "items", numbers if len(numbers) else [0], wp.int32)
         return made
@@ -302,6 +289,8 @@ class NonsmoothContacts(ForceElement):
                 array.assign(values)
         for minima in self._minima:
             minima.reset(model.envs, model.device)
+        for body_contacts in self._manifold_sets:
+            body_contacts.reset_state(wp.full(model.envs, True, dtype=wp.bool, device=model.device))
 
     @property
     def scratch(self) -> dict[str, Any]:
@@ -323,6 +312,11 @@ class NonsmoothContacts(ForceElement):
         """Returns whether the contact ``name`` is compliant."""
         return name in self.compliant
 
+    def manifolds_of(self, body_contacts: "BodyContactSet") -> ManifoldSet | None:
+        """Returns the manifolds of the nonsmooth contacts of a set; ``None``: it has none."""
+        found = self._manifold_sets.get(body_contacts)
+        return None if found is None else found[0]
+
     def first_record_of(self, contact: ParticleContact) -> int:
         """Returns the number of the first record of a nonsmooth particle contact."""
         return self._first_records[contact]
@@ -342,27 +336,19 @@ class NonsmoothContacts(ForceElement):
     @property
     def shares_loads(self) -> bool:
         """Whether two bodies may have several contacts, between which equilibrium does not determine the loads."""
-        pairs = [np.zeros((0, 2), dtype=np.int64)]
-        for contact in self._nonsmooth:
-            if isinstance(contact, ParticleContact):
-                # Each pair of particles has one contact.
-                numbers = np.concatenate([shape.body_numbers for shape in contact.shapes])
-                if len(np.unique(numbers)) < len(numbers):
-                    return True
-                continue
-            if isinstance(contact, ShapeContact):
-                sides = [contact.shape.body_numbers, contact.other_shape.body_numbers]
-            else:
-                surface = contact.surface.body
-                sides = [contact.points.body_numbers, np.array([WORLD if surface is None else surface.index])]
-            pairs.append(np.stack([np.broadcast_to(side, contact.count) for side in sides], axis=1))
-        every = np.sort(np.concatenate(pairs), axis=1)
-        return len(np.unique(every, axis=0)) < len(every)
+        return share_loads(self._nonsmooth)
 
     def has_restitution(self, parameters: Mapping[str, Parameter]) -> bool:
         """Returns whether any nonsmooth contact has a restitution; impacts can then add energy."""
-        names = [f"{one.name}.law.restitution" for one in self._nonsmooth]
-        return any(bool(parameters[name].field.values.any()) for name in names if name in parameters)
+        return self._is_used("restitution", parameters)
+
+    def has_compliance(self, parameters: Mapping[str, Parameter]) -> bool:
+        """Returns whether any nonsmooth contact with a rigid law has a compliance."""
+        return self._is_used("compliance", parameters)
+
+    def _is_used(self, key: str, parameters: Mapping[str, Parameter]) -> bool:
+        tables = (one.resolved(parameters) for one in self._materials)
+        return any(bool(found.field.values.any()) for table in tables if (found := table[key]) is not None)
 
     def check_shares(self, parameters: Mapping[str, Parameter]) -> None:
         """Checks that no nonsmooth contact has the share 0: it would act in spite of that.
@@ -393,7 +379,7 @@ class NonsmoothContacts(ForceElement):
 
     def compliant_items(self, items: Mapping[Any, slice]) -> list[tuple[int, int]]:
         """Returns ranges (first, count) of the compliant ones of ``items``, given by contact."""
-        return _runs(own for contact, own in items.items() if self.is_compliant(contact.name))
+        return runs_of(own for contact, own in items.items() if self.is_compliant(contact.name))
 
     def collect_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
         """Returns the launches that collect the closed contacts at half a step as rows."""
@@ -435,6 +421,8 @@ class NonsmoothContacts(ForceElement):
                     shape_contacts=one.shape_contacts,
                     **inputs,
                 )
+        for manifolds, first, material in self._manifold_sets.values():
+            launches += manifolds.row_launches(plan, self._step, first, material, inputs)
         for particle_set, material in self._particle_contact_sets:
             launches += plan.prepare(
                 build_rows.particle_rows(real),
@@ -479,8 +467,13 @@ class NonsmoothContacts(ForceElement):
         self.statistics.largest_residual.zero_()
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
-        """Returns the launch that stores impulses and statistics of an accepted step."""
-        return plan.prepare(
+        """Returns the launches that store impulses, statistics and points of an accepted step."""
+        launches = [
+            launch
+            for manifolds, _, _ in self._manifold_sets.values()
+            for launch in manifolds.accept_launches(plan)
+        ]
+        return launches + plan.prepare(
             save_impulses.kernel(self._real, plan.model.has_joints, self.rolls),
             1,
             status=plan.model.arrays.status,
@@ -513,6 +506,8 @@ class NonsmoothContacts(ForceElement):
             statistics=self.statistics,
             reactions=self.reactions,
         )
+        for manifolds, _, _ in self._manifold_sets.values():
+            manifolds.reset_state(chosen)
 
     def show_stages(self, plan: "ExecutionPlan", status: wp.array) -> list[wp.Launch]:
         """Returns the launches that copy the last step to the sensor arrays of mesh and shape contacts.
@@ -543,6 +538,9 @@ class NonsmoothContacts(ForceElement):
             )
         for minima in self._minima:
             launches += minima.show_launches(plan, inputs)
+        stored = {"stored_impulses": self.stored_impulses, "statistics": self.statistics}
+        for manifolds, first, _ in self._manifold_sets.values():
+            launches += manifolds.show_launches(plan, status, self._step, first, stored)
         return launches
 
     def show(self, model: "DeviceModel") -> None:
@@ -589,6 +587,8 @@ class NonsmoothContacts(ForceElement):
             name, array = f"{contact.name}.mode", self._display("mode", own)
             text = "contact mode in the last step"
             yield Sensor(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)
+        for manifolds, _, _ in self._manifold_sets.values():
+            yield from manifolds.sensors()
         for key, (part, attribute, unit, meaning) in OF_SCENE.items():
             yield Sensor(f"scene.{key}", unit, meaning, self._of_scene(part, attribute))
 
@@ -597,18 +597,3 @@ class NonsmoothContacts(ForceElement):
 
     def _of_scene(self, part: str, attribute: str) -> Callable[[ModelArrays], wp.array]:
         return lambda _: getattr(getattr(self, part), attribute)
-
-
-def _slice(first: int, count: int) -> slice:
-    return slice(first, first + count)
-
-
-def _runs(ranges: Iterable[slice]) -> list[tuple[int, int]]:
-    """Returns ascending ranges as (first, count), with adjacent ones merged."""
-    runs: list[tuple[int, int]] = []
-    for own in ranges:
-        if runs and sum(runs[-1]) == own.start:
-            runs[-1] = (runs[-1][0], own.stop - runs[-1][0])
-        else:
-            runs.append((own.start, own.stop - own.start))
-    return runs

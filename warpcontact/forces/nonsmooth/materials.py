@@ -78,13 +78,17 @@ class NonsmoothSource:
 
     def parameter_paths(self) -> dict[str, tuple[str, str] | None]:
         """Returns part and parameter of each entry of the material; ``None``: the entry is 0."""
-        table: dict[str, tuple[str, str] | None] = {"restitution": None}
-        if "restitution" in self.formulas["law"].parameters():
-            table["restitution"] = ("law", "restitution")
+        law = self.formulas["law"].parameters()
+        table: dict[str, tuple[str, str] | None] = {
+            "restitution": ("law", "restitution") if "restitution" in law else None
+        }
         names = {"mu_static": "friction", "mu_dynamic": "friction", "rolling": "rolling", "spinning": "torsion"}
         for key, part in names.items():
             coefficients = cone_coefficients(self.formulas[part])
             table[key] = (part, coefficients[key != "mu_static"]) if coefficients else None
+        # Only rigid laws have a compliance of nonsmooth contact.
+        soft = self.formulas["law"].rigid and "compliance" in law
+        table["compliance"] = ("law", "compliance") if soft else None
         return table
 
     def resolved(self, parameters: Mapping[str, Parameter]) -> dict[str, Parameter | None]:

@@ -37,17 +37,21 @@ OF_SCENE = {
     ),
 }
 
+#: Sensors of contacts, and of points of body contacts.
+OF_CONTACTS = ("impulse", "mode", "point", "point_gap", "point_force", "load_ratio")
+
 
 def is_nonsmooth_sensor(name: str) -> bool:
     """Returns whether a sensor, given by name, exists only with nonsmooth contact."""
     element, _, quantity = name.rpartition(".")
-    return quantity in OF_SCENE if element == "scene" else quantity in ("impulse", "mode")
+    return quantity in OF_SCENE if element == "scene" else quantity in OF_CONTACTS
 
 
 def sensor_hint(name: str, stored_count: Collection[str], scene: SceneData) -> str:
     """Returns the end of a message about an unknown sensor: the required integrator, or similar names."""
     element = name.rpartition(".")[0]
     contacts = {contact.name for contact in scene.contacts} | {contact.name for contact in scene.shape_contacts}
+    contacts |= {contact.name for contact in scene.body_contacts}
     if is_nonsmooth_sensor(name) and (element == "scene" or element in contacts):
         return "; only nonsmooth contact has it, with the integrator MoreauJean"
     return similar(name, stored_count)

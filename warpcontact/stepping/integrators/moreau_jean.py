@@ -77,7 +77,8 @@ class MoreauJean(Integrator):
         solver: ``"gauss_seidel"``: one contact after the other. ``"accelerated"``: all contacts simultaneously, by
             projected gradients with momentum, for heavy bodies on light ones and statically indeterminate supports.
             ``"auto"``: the first, then the second in environments where the first did not converge. If two bodies have
-            several contacts and one is new, accelerated steps from zero come first, so that all contacts share the load.
+            several contacts and these or their load have changed, accelerated steps from zero come first, so that all
+            contacts share the load.
         iterations: Maximum number of iterations per step. Default: 200 (``"gauss_seidel"``), 2000
             (``"accelerated"``).
         tolerance: Tolerance of the relative residual. Default: 1e-5 in float32, 1e-8 in float64.
@@ -118,15 +119,9 @@ class MoreauJean(Integrator):
         """Checks that nonsmooth contacts have a rigid law and a friction coefficient, and compliant ones a force.
 
         Raises:
-            ValueError: If not, if a contact is swept, or if a name in ``compliant`` does not exist.
+            ValueError: If not, if a contact is swept, if a nonsmooth body contact has a curved solid, or if a name in ``compliant`` does not exist.
         """
         contacts = formulas_of(scene)
-        for body_contact in scene.body_contacts:
-            if body_contact.name not in self.compliant:
-                raise ValueError(
-                    f"{body_contact.name}: MoreauJean supports body contact as a compliant contact only. Use "
-                    f"SemiImplicitEuler, or compliant=[{body_contact.name!r}]"
-                )
         forces = {contact.name for contact in scene.contacts if contact.facing is not None}
         for name in self.compliant:
             if name not in contacts or name in forces:
@@ -140,6 +135,13 @@ class MoreauJean(Integrator):
                 if formula.rigid:
                     why = "compliant: " if name in self.compliant else "contact couplings are forces: "
                     raise ValueError(f"{why}{name}.{part} is {type(formula).__name__}, which has no force")
+        for body_contact in scene.body_contacts:
+            if body_contact.name not in self.compliant and (solid := body_contact.curved_solid) is not None:
+                raise ValueError(
+                    f"{body_contact.name}: {solid.name!r} is a {solid.kind.__name__}; nonsmooth body contact supports "
+                    "meshes, boxes and half-spaces. Use add_shape_contact, a mesh, or "
+                    f"compliant=[{body_contact.name!r}]"
+                )
         for contact in scene.contacts:
             if contact.swept:
                 raise ValueError(
@@ -252,14 +254,10 @@ class MoreauJean(Integrator):
         assert nonsmooth is not None
         launches: list[wp.Launch] = []
         solvers = SOLVERS[self.solver]
-        kinds = real, plan.model.has_joints, nonsmooth.rolls
+        kinds = real, plan.model.has_joints, nonsmooth.rolls, plan.model.has_compliance
         if nonsmooth.shares_loads:
             launches += plan.prepare(
-                load_sharing.clear_changed_pairs(real),
-                1,
-                status=status,
-                rows=nonsmooth.rows,
-                solve_result=nonsmooth.solve_result,
+                load_sharing.clear_warm_starts(*kinds), 1, status=status, **nonsmooth.problem_inputs
             )
             if solvers[0] != "accelerated":
                 launches += plan.prepare(

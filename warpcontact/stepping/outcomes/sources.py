@@ -187,7 +187,7 @@ class SourceResolver:
         """
         quantity = "mode" if contact in self._nonsmooth else "penetration"
         if contact in self._body_contacts:
-            quantity = "area"
+            quantity = "normal_force" if contact in self._nonsmooth else "area"
         name = f"{contact}.{quantity}"
         if contact not in self._single_contacts:
             what = "not a contact"

@@ -186,6 +186,13 @@ class Candidates:
             )
         if (self._values(f"{contact.name}.force_scale", count, 1.0) != 1.0).any():
             raise ValueError(f"{contact.name}.force_scale must be 1 for nonsmooth contact")
+        if sources["compliance"] is not None:
+            compliance = self._values(f"{contact.name}.law.compliance", count, 0.0)
+            if compliance.any():
+                raise ValueError(
+                    f"{contact.name}.law.compliance must be 0 m/N for this method, got {compliance.max():g} m/N; "
+                    "MoreauJean supports it"
+                )
         columns = [
             np.zeros(count)
             if source is None

@@ -1,0 +1,196 @@
+"""Candidates for the points of a patch, and the choice of at most four of them.
+
+Candidates are in arrays of a thread with ``CANDIDATES`` entries per patch. Of more candidates, those that are extreme in
+``DIRECTIONS`` directions and the deepest remain.
+"""
+
+import warp as wp
+from warpcontact.kernels.manifolds.features import Feature, is_before, same_feature
+
+double = wp.float64
+vec3d = wp.vec3d
+
+#: Patches of a pair, and points of a patch.
+MAX_PATCHES = 4
+POINTS = 4
+#: Candidates of a patch.
+CANDIDATES = 32
+#: Directions whose extreme candidates remain if there are too many.
+DIRECTIONS = 16
+# Relative difference of gaps and distances below which the feature decides, not rounding.
+TIE = wp.constant(double(1.0e-3))
+# Distance of candidates, relative to the size, below which they are one point.
+SAME_POINT = wp.constant(double(1.0e-6))
+COSINE_STEP = wp.constant(double(0.9238795325112867))  # of 2 π/16
+SINE_STEP = wp.constant(double(0.3826834323650898))
+LARGEST = wp.constant(double(1.0e300))
+
+
+@wp.struct
+class Patch:
+    """A patch while its candidates are collected, in the frame of the second solid."""
+
+    normal: vec3d  # out of the second solid
+    gap: double  # smallest gap [m]
+    count: wp.int32  # number of candidates
+
+
+@wp.struct
+class Candidate:
+    """A candidate for a point, in the frame of the second solid."""
+
+    position: vec3d  # K [m]
+    gap: double  # negative in overlap [m]
+    feature: Feature
+
+
+@wp.func
+def axes_across(normal: vec3d):
+    """Returns two unit vectors normal to a unit vector and to each other."""
+    side = wp.where(normal[2] < double(0.0), double(-1.0), double(1.0))
+    a = double(-1.0) / (side + normal[2])
+    b = normal[0] * normal[1] * a
+    first = vec3d(double(1.0) + side * normal[0] * normal[0] * a, side * b, -side * normal[0])
+    second = vec3d(b, side + normal[1] * normal[1] * a, -normal[1])
+    return first, second
+
+
+@wp.func
+def keep_extremes(candidates: wp.array(dtype=Candidate), first: int, count: int, normal: vec3d):
+    """Removes candidates that are not extreme in a direction across ``normal``; returns the number of the others."""
+    u_axis, v_axis = axes_across(normal)
+    kept = wp.int32(0)
+    # First the deepest one, then the extremes of the directions in turn. Those are moved to the front.
+    cosine = double(1.0)
+    sine = double(0.0)
+    for direction in range(DIRECTIONS + 1):
+        along = cosine * u_axis + sine * v_axis
+        best = wp.int32(-1)
+        largest = -LARGEST
+        for i in range(count):
+            value = wp.dot(along, candidates[first + i].position)
+            if direction == 0:
+                value = -candidates[first + i].gap
+            if value > largest:
+                largest = value
+                best = i
+        if direction > 0:
+            turned = COSINE_STEP * cosine - SINE_STEP * sine
+            sine = SINE_STEP * cosine + COSINE_STEP * sine
+            cosine = turned
+        if best >= kept:
+            one = candidates[first + best]
+            other = candidates[first + kept]
+            candidates[first + kept] = one
+            candidates[first + best] = other
+            kept += 1
+    return kept
+
+
+@wp.func
+def add_candidate(
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+    patch: int,
+    position: vec3d,
+    gap: double,
+    feature: Feature,
+):
+    """Adds a candidate to a patch; of several with one feature, the deepest remains."""
+    first = CANDIDATES * patch
+    count = patches[patch].count
+    patches[patch].gap = wp.min(patches[patch].gap, gap)
+    one = Candidate()
+    one.position = position
+    one.gap = gap
+    one.feature = feature
+    for i in range(count):
+        if same_feature(candidates[first + i].feature, feature):
+            if gap < candidates[first + i].gap:
+                candidates[first + i] = one
+            return
+    if count == CANDIDATES:
+        count = keep_extremes(candidates, first, count, patches[patch].normal)
+    candidates[first + count] = one
+    patches[patch].count = count + 1
+
+
+@wp.func
+def across(difference: vec3d, normal: vec3d):
+    """Returns the part of a vector that is normal to ``normal``."""
+    return difference - wp.dot(difference, normal) * normal
+
+
+@wp.func
+def choose_points(
+    patch: Patch, candidates: wp.array(dtype=Candidate), first: int, size: double, chosen: wp.array(dtype=wp.int32)
+):
+    """Chooses at most four candidates of a patch; returns their number and writes them to ``chosen``.
+
+    The deepest one, of equally deep ones that farthest from their mean; the one farthest from it; the one farthest from the
+    line through both; and the one farthest from this line on its other side. Of nearly equal ones, the one with the first
+    feature.
+
+    Args:
+        patch: The patch.
+        candidates: The candidates of all patches.
+        first: Index of the first candidate of the patch.
+        size: Length relative to which candidates differ [m].
+        chosen: Receives the indices of the candidates.
+    """
+    n = patch.normal
+    if patch.count == 0:
+        return 0
+    found = wp.int32(0)
+    origin = vec3d()
+    deep = -LARGEST
+    for i in range(patch.count):
+        origin += candidates[first + i].position / double(patch.count)
+        deep = wp.max(deep, -candidates[first + i].gap)
+    deep -= SAME_POINT * size
+    line = vec3d()
+    side = double(0.0)
+    for number in range(POINTS):
+        # The largest value within the tie, in two passes.
+        largest = -LARGEST
+        for i in range(patch.count):
+            value = candidate_value(candidates[first + i], number, origin, line, side, n)
+            if number > 0 or -candidates[first + i].gap >= deep:
+                largest = wp.max(largest, value)
+        if number > 0 and largest <= SAME_POINT * size:
+            if number == 1:
+                return found
+            continue
+        limit = largest - TIE * largest
+        best = wp.int32(-1)
+        for i in range(patch.count):
+            if number == 0 and -candidates[first + i].gap < deep:
+                continue
+            if candidate_value(candidates[first + i], number, origin, line, side, n) >= limit:
+                if best < 0 or is_before(candidates[first + i].feature, candidates[first + best].feature):
+                    best = i
+        chosen[found] = first + best
+        found += 1
+        position = candidates[first + best].position
+        if number == 0:
+            origin = position
+        elif number == 1:
+            line = wp.normalize(wp.cross(n, across(position - origin, n)))
+        elif number == 2:
+            side = wp.where(wp.dot(line, position - origin) > double(0.0), double(-1.0), double(1.0))
+    return found
+
+
+@wp.func
+def candidate_value(one: Candidate, number: int, origin: vec3d, line: vec3d, side: double, n: vec3d):
+    """Returns the distance by which point ``number`` of a patch is chosen [m].
+
+    From ``origin``, the mean of all candidates or the first point, or from the line through it normal to ``line``.
+    """
+    difference = one.position - origin
+    if number <= 1:
+        return wp.length(across(difference, n))
+    distance = wp.dot(line, difference)
+    if number == 2:
+        return wp.abs(distance)
+    return side * distance

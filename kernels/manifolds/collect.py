@@ -1,0 +1,167 @@
+"""Candidates for points from pairs of faces and pairs of edges, in the frame of the second solid."""
+
+import warp as wp
+from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
+from warpcontact.kernels.body_contact.surface_queries import SolidGeometry
+from warpcontact.kernels.manifolds.candidates import Candidate, Patch, across, add_candidate
+from warpcontact.kernels.manifolds.face_clipping import (
+    FACING,
+    ClippedCorner,
+    clip_face,
+    corner_feature,
+    heights_of_face,
+)
+from warpcontact.kernels.manifolds.features import Feature, Features, edge_feature, moved, vertex_position
+from warpcontact.kernels.manifolds.separation import closest_on_lines
+
+double = wp.float64
+vec3d = wp.vec3d
+
+
+@wp.struct
+class Reach:
+    """Lengths that decide which points belong to a manifold."""
+
+    margin: double  # largest gap of a point [m]
+    depth: double  # largest depth of a point [m]
+    size: double  # of the smaller solid [m]
+
+
+@wp.struct
+class ReferenceSide:
+    """The solid with the reference face, and the other one."""
+
+    own: SolidGeometry
+    other: SolidGeometry
+    pose: RelativePose  # of the other solid in the frame of the reference solid
+    kappa: double  # points are at kappa × depth below the reference face
+    is_second: wp.bool  # whether the reference solid is the second one
+
+
+@wp.func
+def faces_oppose(geometries: Geometries, side: ReferenceSide, reference_face: int, other_face: int):
+    """Returns whether the outsides of two faces are towards each other."""
+    normal = side.pose.rotation * geometries.normal[other_face]
+    return wp.dot(geometries.normal[reference_face], normal) < -FACING
+
+
+@wp.func
+def width_of(corners: wp.array(dtype=ClippedCorner), first: int, count: int, normal: vec3d):
+    """Returns the smallest width of a convex polygon in the plane normal to ``normal`` [m]."""
+    width = double(wp.inf)
+    for i in range(count):
+        start = corners[first + i].position
+        edge = across(corners[first + wp.where(i == count - 1, 0, i + 1)].position - start, normal)
+        length = wp.length(edge)
+        if length == double(0.0):
+            continue
+        inward = wp.cross(normal, edge) / length
+        farthest = double(0.0)
+        for k in range(count):
+            farthest = wp.max(farthest, wp.abs(wp.dot(inward, corners[first + k].position - start)))
+        width = wp.min(width, farthest)
+    return width
+
+
+@wp.func
+def clip_within_reach(
+    geometries: Geometries,
+    side: ReferenceSide,
+    reference_face: int,
+    other_face: int,
+    offset: double,
+    reach: Reach,
+    corners: wp.array(dtype=ClippedCorner),
+):
+    """Clips two faces unless they are apart; returns the number of corners and the index of the first.
+
+    ``offset``: of the reference plane along its normal [m].
+    """
+    normal = geometries.normal[reference_face]
+    lowest, highest = heights_of_face(geometries, side.other, side.pose, other_face, normal, offset)
+    if lowest > reach.margin or highest < -reach.depth:
+        return 0, 0
+    count, first = clip_face(
+        geometries, side.own, reference_face, side.other, other_face, side.pose, reach.size, corners
+    )
+    return count, first
+
+
+@wp.func
+def add_corners(
+    geometries: Geometries,
+    features: Features,
+    side: ReferenceSide,
+    second_frame: RelativePose,
+    reference_face: int,
+    other_face: int,
+    reach: Reach,
+    corners: wp.array(dtype=ClippedCorner),
+    first: int,
+    count: int,
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+    patch: int,
+):
+    """Adds the corners of a common area within reach as candidates of a patch.
+
+    ``second_frame``: pose of the reference solid in the frame of the second solid.
+    """
+    normal = geometries.normal[reference_face]
+    for i in range(count):
+        corner = corners[first + i]
+        if corner.height > reach.margin or corner.height < -reach.depth:
+            continue
+        before = corners[first + wp.where(i == 0, count - 1, i - 1)].after
+        feature = corner_feature(
+            geometries, features, reference_face, other_face, before, corner.after, side.is_second
+        )
+        position = corner.position - ((double(1.0) - side.kappa) * corner.height) * normal
+        add_candidate(patches, candidates, patch, moved(second_frame, position), corner.height, feature)
+
+
+@wp.func
+def add_edges(
+    geometries: Geometries,
+    features: Features,
+    first: SolidGeometry,
+    second: SolidGeometry,
+    pose: RelativePose,
+    edge_1: int,
+    edge_2: int,
+    normal: vec3d,
+    kappa: double,
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+    patch: int,
+):
+    """Adds the crossing of two edges as a candidate of a patch.
+
+    Args:
+        geometries: The geometries.
+        features: Their features.
+        first: The first solid.
+        second: The second solid.
+        pose: Pose of the first solid in the frame of the second one.
+        edge_1: Edge of the first solid.
+        edge_2: Edge of the second solid, not parallel to the other one.
+        normal: Their common normal, out of the second solid.
+        kappa: The point is at kappa × the distance from the second edge.
+        patches: The patches.
+        candidates: Their candidates.
+        patch: The patch.
+    """
+    ends_1 = features.edge[edge_1]
+    ends_2 = features.edge[edge_2]
+    start_1 = moved(pose, vertex_position(geometries, ends_1[0], first))
+    end_1 = moved(pose, vertex_position(geometries, ends_1[1], first))
+    start_2 = vertex_position(geometries, ends_2[0], second)
+    end_2 = vertex_position(geometries, ends_2[1], second)
+    fraction_1, fraction_2 = closest_on_lines(start_1, end_1, start_2, end_2)
+    point_1 = start_1 + wp.clamp(fraction_1, double(0.0), double(1.0)) * (end_1 - start_1)
+    point_2 = start_2 + wp.clamp(fraction_2, double(0.0), double(1.0)) * (end_2 - start_2)
+    feature = Feature()
+    feature.first = edge_feature(edge_1)
+    feature.second = edge_feature(edge_2)
+    gap = wp.dot(normal, start_1 - start_2)
+    add_candidate(patches, candidates, patch, point_2 + kappa * (point_1 - point_2), gap, feature)

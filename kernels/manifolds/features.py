@@ -1,0 +1,75 @@
+"""Features of solids: vertices, edges and planes, and their numbers, which identify points from step to step."""
+
+import warp as wp
+from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, scaled
+from warpcontact.kernels.body_contact.surface_queries import SolidGeometry
+
+vec3d = wp.vec3d
+
+
+@wp.struct
+class Features:
+    """Features of all geometries."""
+
+    corner: wp.array(dtype=wp.int32)  # [corner] vertices of faces
+    corner_start: wp.array(dtype=wp.int32)  # [geometry + 1]
+    edge: wp.array(dtype=wp.vec4i)  # [edge] its two vertices and two faces; the last is −1 at a boundary
+    edge_start: wp.array(dtype=wp.int32)  # [geometry + 1]
+    sharp_end: wp.array(dtype=wp.int32)  # [geometry] end of its convex edges, which come first
+    face_edge: wp.array(dtype=wp.vec4i)  # [face] edges, the first from its first to its second vertex
+    face_plane: wp.array(dtype=wp.int32)  # [face] plane
+    # [6 × geometry + 2 × axis + side] planes of a box on the negative (side 0) and positive (1) side of each axis; −1: no box
+    box_plane: wp.array(dtype=wp.int32)
+    plane_face: wp.array(dtype=wp.int32)  # faces of all planes
+    plane_start: wp.array(dtype=wp.int32)  # [plane + 1] first of its faces in ``plane_face``
+    is_convex: wp.array(dtype=wp.int32)  # [geometry] 1: it is convex, and its planes and edges are all compared
+
+
+@wp.struct
+class Feature:
+    """A point as the crossing of a feature of the first solid and one of the second."""
+
+    first: wp.int32  # from ``vertex_feature``, ``edge_feature`` or ``plane_feature``; 0: there is no point
+    second: wp.int32
+
+
+@wp.func
+def vertex_feature(vertex: int):
+    """Returns the number of a vertex as a feature."""
+    return 1 + 3 * vertex
+
+
+@wp.func
+def edge_feature(edge: int):
+    """Returns the number of an edge as a feature."""
+    return 2 + 3 * edge
+
+
+@wp.func
+def plane_feature(plane: int):
+    """Returns the number of a plane as a feature."""
+    return 3 + 3 * plane
+
+
+@wp.func
+def same_feature(one: Feature, other: Feature):
+    """Returns whether two points are the crossing of the same features."""
+    return one.first == other.first and one.second == other.second
+
+
+@wp.func
+def is_before(one: Feature, other: Feature):
+    """Returns whether a feature comes before another one, which decides between equal points."""
+    return one.first < other.first or (one.first == other.first and one.second < other.second)
+
+
+@wp.func
+def vertex_position(geometries: Geometries, vertex: int, side: SolidGeometry):
+    """Returns the position of a vertex in the frame of its solid [m]."""
+    return scaled(geometries.vertex[vertex], side.scale)
+
+
+@wp.func
+def moved(pose: RelativePose, position: vec3d):
+    """Returns a position of a solid in the frame of the other one [m]."""
+    return pose.rotation * position + pose.origin

@@ -1,0 +1,541 @@
+"""Manifolds of pairs of solids: points with gaps and normals, identified with those of the last step.
+
+A point keeps its slot, and with it its impulse, if its features are the same, or else if it is the nearest point within a
+tenth of the size of its patch.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.body_contact import solids as solid_functions
+from warpcontact.kernels.body_contact.face_trees import PENDING_NODES
+from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
+from warpcontact.kernels.body_contact.solids import (
+    HALF_SPACE,
+    HAS_BOUNDARY,
+    Geometries,
+    PairPose,
+    SolidPose,
+    Solids,
+)
+from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, are_apart, solid_geometry
+from warpcontact.kernels.frames import functions as frame_functions
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.manifolds.candidates import (
+    CANDIDATES,
+    MAX_PATCHES,
+    POINTS,
+    Candidate,
+    Patch,
+    choose_points,
+)
+from warpcontact.kernels.manifolds.collect import Reach
+from warpcontact.kernels.manifolds.convex import NO_REFERENCE, add_vertices_below, convex_manifold
+from warpcontact.kernels.manifolds.face_clipping import CLIPPED_CORNERS, ClippedCorner
+from warpcontact.kernels.manifolds.features import Features
+from warpcontact.kernels.manifolds.meshes import mesh_manifold
+from warpcontact.kernels.manifolds.records import ManifoldHistory, ManifoldPairs, manifold_structs
+from warpcontact.kernels.types import (
+    CONTACT,
+    DISABLED,
+    ENV_ACTIVE,
+    OPEN,
+    WRONG_SIDE,
+    LaunchRange,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+
+double = wp.float64
+vec3d = wp.vec3d
+
+# Largest gap of a point: a multiple of the relative displacement in a step, and a fraction of the size of the bodies.
+STEP_MARGIN = wp.constant(double(2.0))
+SIZE_MARGIN = wp.constant(double(1.0e-3))
+# Distance, relative to the size of a patch, up to which a point is the nearest one of the last step.
+NEAREST = wp.constant(double(0.1))
+#: Points, candidates and clipped corners of a pair.
+MAX_POINTS, ALL_CANDIDATES, CLIP_BUFFER = MAX_PATCHES * POINTS, MAX_PATCHES * CANDIDATES, 2 * CLIPPED_CORNERS
+
+
+@wp.struct
+class ManifoldPoint:
+    """A point of a manifold while it is identified, in the frame of the second solid."""
+
+    candidate: wp.int32
+    patch: wp.int32
+    slot: wp.int32  # −1: not found yet
+    is_matched: wp.int32  # 1: the slot has the same point of the last step
+
+
+@wp.func
+def largest_extent(side: SolidGeometry):
+    """Returns the largest edge of the bounding box of a solid [m]."""
+    return double(2.0) * wp.max(side.half_extents)
+
+
+@wp.func
+def reach_of_pair(first: SolidGeometry, second: SolidGeometry, are_convex: bool, displacement: double):
+    """Returns the ``Reach`` of a pair; ``displacement``: largest relative displacement in a step [m]."""
+    result = Reach()
+    result.size = largest_extent(first)
+    result.depth = double(wp.inf)
+    bounded = (second.flags & (HALF_SPACE | HAS_BOUNDARY)) == 0
+    if bounded:
+        result.size = wp.min(result.size, largest_extent(second))
+    if not are_convex:
+        # Deeper faces may be on the far side of a part of a body.
+        result.depth = wp.min(first.half_extents)
+        if bounded:
+            result.depth = wp.min(result.depth, wp.min(second.half_extents))
+    result.margin = wp.max(displacement, SIZE_MARGIN * result.size)
+    return result
+
+
+@wp.func
+def is_within_reach(first: SolidGeometry, second: SolidGeometry, pose: PairPose, margin: double):
+    """Returns whether the bounding boxes of two solids are at most ``margin`` apart along the axes of the boxes."""
+    if (second.flags & HALF_SPACE) != 0:
+        rotation = pose.first_in_second.rotation
+        lowest = pose.first_in_second.origin[2]
+        for k in range(3):
+            lowest += rotation[2, k] * first.center[k] - wp.abs(rotation[2, k]) * first.half_extents[k]
+        return lowest <= margin
+    return not are_apart(first, second, pose.first_in_second, margin)
+
+
+@wp.func
+def choose_all(
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+    size: double,
+    capacity: int,
+    chosen: wp.array(dtype=wp.int32),
+    points: wp.array(dtype=ManifoldPoint),
+):
+    """Writes the points of all patches to ``points``; returns their number, at most ``capacity``."""
+    count = wp.int32(0)
+    for patch in range(MAX_PATCHES):
+        found = choose_points(patches[patch], candidates, CANDIDATES * patch, size, chosen)
+        for i in range(found):
+            if count < capacity:
+                points[count].candidate = chosen[i]
+                points[count].patch = patch
+                points[count].slot = -1
+                points[count].is_matched = 0
+                count += 1
+    return count
+
+
+@wp.func
+def patch_size(
+    candidates: wp.array(dtype=Candidate),
+    points: wp.array(dtype=ManifoldPoint),
+    count: int,
+    patch: int,
+    size: double,
+):
+    """Returns the largest distance of two points of a patch, or ``size`` if there is only one [m]."""
+    largest = double(0.0)
+    for i in range(count):
+        for k in range(i):
+            if points[i].patch == patch and points[k].patch == patch:
+                difference = candidates[points[i].candidate].position - candidates[points[k].candidate].position
+                largest = wp.max(largest, wp.length(difference))
+    return wp.where(largest > double(0.0), largest, size)
+
+
+@wp.func
+def match_points(
+    candidates: wp.array(dtype=Candidate),
+    points: wp.array(dtype=ManifoldPoint),
+    count: int,
+    history: ManifoldHistory,
+    env: int,
+    start: int,
+    end: int,
+    size: double,
+    taken: wp.array(dtype=wp.int32),
+):
+    """Assigns a slot to each point: that of the same point of the last step, or else a free one."""
+    for k in range(end - start):
+        taken[k] = 0
+    for i in range(count):
+        feature = candidates[points[i].candidate].feature
+        for slot in range(start, end):
+            if taken[slot - start] == 0 and points[i].slot < 0:
+                same = history.feature_1[env, slot] == feature.first
+                if same and history.feature_2[env, slot] == feature.second:
+                    taken[slot - start] = 1
+                    points[i].slot = slot
+                    points[i].is_matched = 1
+    for i in range(count):
+        if points[i].slot >= 0:
+            continue
+        position = candidates[points[i].candidate].position
+        nearest = NEAREST * patch_size(candidates, points, count, points[i].patch, size)
+        best = wp.int32(-1)
+        for slot in range(start, end):
+            if taken[slot - start] == 0 and history.feature_1[env, slot] != 0:
+                distance = wp.length(history.position[env, slot] - position)
+                if distance < nearest:
+                    nearest = distance
+                    best = slot
+        if best >= 0:
+            taken[best - start] = 1
+            points[i].slot = best
+            points[i].is_matched = 1
+    # New points take slots without a point first.
+    for used in range(2):
+        for slot in range(start, end):
+            if taken[slot - start] == 1 or (used == 0 and history.feature_1[env, slot] != 0):
+                continue
+            for i in range(count):
+                if points[i].slot < 0 and taken[slot - start] == 0:
+                    taken[slot - start] = 1
+                    points[i].slot = slot
+
+
+@functools.cache
+def clear_points_of(real: type) -> wp.Function:
+    """Returns the device function that removes the points of a pair from the results of a step."""
+    vec3 = structs(real).vec3
+    ManifoldPoints = manifold_structs(real).ManifoldPoints
+    not_a_number = wp.constant(real(wp.nan))
+
+    @wp.func
+    def clear_points(
+        history_out: ManifoldHistory, manifold_points: ManifoldPoints, env: int, start: int, end: int
+    ):
+        for slot in range(start, end):
+            history_out.feature_1[env, slot] = 0
+            history_out.feature_2[env, slot] = 0
+            history_out.position[env, slot] = vec3d()
+            history_out.is_closed[env, slot] = 0
+            manifold_points.is_present[env, slot] = 0
+            manifold_points.gap[env, slot] = not_a_number
+            manifold_points.position[env, slot] = vec3(not_a_number, not_a_number, not_a_number)
+
+    return clear_points
+
+
+@functools.cache
+def find_manifolds(real: type) -> wp.Kernel:
+    """Returns the kernel that finds the manifolds of nonsmooth pairs; items: these pairs."""
+    t = structs(real)
+    Model, State = t.Model, t.State
+    BodyContacts = body_contact_structs(real).BodyContacts
+    ManifoldPoints = manifold_structs(real).ManifoldPoints
+    clear_points = clear_points_of(real)
+    pair_pose = solid_functions.functions(real).pair_pose
+    frame = frame_functions(real)
+    to_float64, from_float64 = frame.to_float64, frame.from_float64
+    not_a_number = wp.constant(real(wp.nan))
+
+    @wp.func
+    def place_of(state: State, env: int, body: int):
+        """Returns the center of mass of a body, or the origin for the world, W [m]."""
+        if body < 0:
+            return vec3d()
+        place = to_float64(state.body_position[env, body])
+        return place + to_float64(state.body_position_remainder[env, body])
+
+    @wp.func
+    def place_of_solid(state: State, env: int, body: int, pose: SolidPose):
+        """Returns a point of the body of a solid to which ``radius_of_solid`` refers, W [m]."""
+        if body < 0:
+            return pose.position
+        return place_of(state, env, body)
+
+    @wp.func
+    def radius_of_solid(body: int, pose: SolidPose, side: SolidGeometry):
+        """Returns the radius of a sphere around ``place_of_solid`` that contains a bounded solid [m]."""
+        radius = wp.length(side.center) + wp.length(side.half_extents)
+        if body < 0:
+            return radius
+        return radius + wp.length(pose.position)
+
+    @wp.func
+    def relative_displacement(
+        model: Model,
+        state: State,
+        env: int,
+        body_1: int,
+        body_2: int,
+        place: vec3d,
+        radius: double,
+        step: double,
+    ):
+        """Returns a bound of the displacement of points of the first solid relative to the second one in a step [m].
+
+        ``place`` and ``radius`` are those of the first solid. Speeds of both bodies are added, because a body may be
+        stopped by others.
+        """
+        speed = double(0.0)
+        if body_1 >= 0:
+            spin = wp.length(to_float64(state.body_angular_velocity[env, body_1]))
+            speed += wp.length(to_float64(state.body_linear_velocity[env, body_1])) + spin * radius
+        if body_2 >= 0:
+            spin = wp.length(to_float64(state.body_angular_velocity[env, body_2]))
+            arm = wp.length(place - place_of(state, env, body_2)) + radius
+            speed += wp.length(to_float64(state.body_linear_velocity[env, body_2])) + spin * arm
+        return STEP_MARGIN * step * speed + step * step * wp.length(to_float64(model.gravity[env, 0]))
+
+    @wp.func
+    def may_touch(
+        state: State,
+        env: int,
+        body_2: int,
+        pose_2: SolidPose,
+        second: SolidGeometry,
+        place: vec3d,
+        radius: double,
+        margin: double,
+    ):
+        """Returns whether the first solid may be within ``margin`` of the second one, by their bounding spheres."""
+        between = place - place_of_solid(state, env, body_2, pose_2)
+        if (second.flags & HALF_SPACE) != 0:
+            if body_2 >= 0:
+                return True
+            normal = wp.quat_rotate(pose_2.orientation, vec3d(double(0.0), double(0.0), double(1.0)))
+            return wp.dot(normal, between) <= radius + margin
+        reach = radius + radius_of_solid(body_2, pose_2, second) + margin
+        return wp.dot(between, between) <= reach * reach
+
+    @wp.func
+    def write_points(
+        state: State,
+        env: int,
+        body_1: int,
+        pose: PairPose,
+        patches: wp.array(dtype=Patch),
+        candidates: wp.array(dtype=Candidate),
+        points: wp.array(dtype=ManifoldPoint),
+        count: int,
+        contact_gap: double,
+        history_in: ManifoldHistory,
+        history_out: ManifoldHistory,
+        manifold_points: ManifoldPoints,
+    ):
+        """Writes the points of a pair to their slots."""
+        center_of_mass = place_of(state, env, body_1)
+        for i in range(count):
+            one = candidates[points[i].candidate]
+            slot = points[i].slot
+            offset = pose.second_axes.rotation * one.position
+            is_closed = wp.where(one.gap <= contact_gap, 1, 0)
+            was_closed = points[i].is_matched * history_in.is_closed[env, slot]
+            history_out.feature_1[env, slot] = one.feature.first
+            history_out.feature_2[env, slot] = one.feature.second
+            history_out.position[env, slot] = one.position
+            history_out.is_closed[env, slot] = is_closed
+            manifold_points.is_present[env, slot] = 1
+            manifold_points.carries[env, slot] = points[i].is_matched
+            manifold_points.is_new[env, slot] = wp.where(is_closed > was_closed, 1, 0)
+            manifold_points.gap[env, slot] = real(one.gap)
+            manifold_points.normal[env, slot] = from_float64(
+                pose.second_axes.rotation * patches[points[i].patch].normal
+            )
+            manifold_points.arm_1[env, slot] = from_float64(pose.arm_1 + offset)
+            manifold_points.arm_2[env, slot] = from_float64(pose.arm_2 + offset)
+            manifold_points.position[env, slot] = from_float64(center_of_mass + pose.arm_1 + offset)
+
+    @unique_kernel()
+    def find_manifolds_of_pairs(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        geometries: Geometries,
+        features: Features,
+        solids: Solids,
+        pairs: SolidPairs,
+        settings: wp.array2d(dtype=BodyContactSettings),
+        manifold_pairs: ManifoldPairs,
+        contact_gap: double,  # gap up to which a point is closed [m]
+        history_in: ManifoldHistory,
+        history_out: ManifoldHistory,
+        manifold_points: ManifoldPoints,
+        body_contacts: BodyContacts,
+    ):
+        corners = wp.zeros(shape=(CLIP_BUFFER,), dtype=ClippedCorner)
+        patches = wp.zeros(shape=(MAX_PATCHES,), dtype=Patch)
+        candidates = wp.zeros(shape=(ALL_CANDIDATES,), dtype=Candidate)
+        chosen = wp.zeros(shape=(POINTS,), dtype=wp.int32)
+        points = wp.zeros(shape=(MAX_POINTS,), dtype=ManifoldPoint)
+        taken = wp.zeros(shape=(MAX_POINTS,), dtype=wp.int32)
+        pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            number = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            pair = manifold_pairs.item[number]
+            start = manifold_pairs.slot_start[number]
+            end = manifold_pairs.slot_start[number + 1]
+            if history_out.count[env, number] > 0:
+                clear_points(history_out, manifold_points, env, start, end)
+            for patch in range(MAX_PATCHES):
+                patches[patch].count = 0
+            setting = settings[env, pair]
+            contact_status = wp.int32(OPEN)
+            reference = history_in.reference[env, number]
+            share = double(0.0)
+            count = wp.int32(0)
+            deepest = double(wp.inf)
+            normal_W = vec3d()
+            center_W = vec3d()
+            if setting.enabled == 0:
+                contact_status = DISABLED
+                reference = NO_REFERENCE
+            else:
+                solid_1 = pairs.first[pair]
+                solid_2 = pairs.second[pair]
+                body_1 = solids.body[solid_1]
+                body_2 = solids.body[solid_2]
+                pose_1 = solids.pose[env, solid_1]
+                pose_2 = solids.pose[env, solid_2]
+                first = solid_geometry(geometries, pose_1)
+                second = solid_geometry(geometries, pose_2)
+                place = place_of_solid(state, env, body_1, pose_1)
+                radius = radius_of_solid(body_1, pose_1, first)
+                displacement = relative_displacement(
+                    model, state, env, body_1, body_2, place, radius, double(step[env, 0])
+                )
+                half_space = (second.flags & HALF_SPACE) != 0
+                are_convex = features.is_convex[pose_1.geometry] == 1 and features.is_convex[pose_2.geometry] == 1
+                reach = reach_of_pair(first, second, are_convex or half_space, displacement)
+                pose = PairPose()
+                near = may_touch(state, env, body_2, pose_2, second, place, radius, reach.margin)
+                if near:
+                    pose = pair_pose(state, env, solids, solid_1, solid_2)
+                    near = is_within_reach(first, second, pose, reach.margin)
+                if near:
+                    geometry_1 = pose_1.geometry
+                    geometry_2 = pose_2.geometry
+                    if half_space:
+                        reference = NO_REFERENCE
+                        share = double(1.0)
+                        add_vertices_below(
+                            geometries, features, first, geometry_1, second, pose.first_in_second, setting.kappa,
+                            reach, pending, patches, candidates,
+                        )  # fmt: skip
+                    elif are_convex:
+                        reference = convex_manifold(
+                            geometries, features, first, geometry_1, second, geometry_2, pose.first_in_second,
+                            setting.kappa, reference, reach, corners, patches, candidates,
+                        )  # fmt: skip
+                        share = double(0.5)
+                        if reference > 0:
+                            share = double(1.0) - double((reference - 1) % 2)
+                    else:
+                        reference = NO_REFERENCE
+                        share = double(wp.nan)
+                        mesh_manifold(
+                            geometries, features, first, geometry_1, second, geometry_2, pose.first_in_second,
+                            setting.kappa, reach, corners, pending, patches, candidates,
+                        )  # fmt: skip
+                    for patch in range(MAX_PATCHES):
+                        if patches[patch].count > 0:
+                            deepest = wp.min(deepest, patches[patch].gap)
+                    if deepest < -setting.max_depth:
+                        contact_status = WRONG_SIDE
+                    else:
+                        count = choose_all(patches, candidates, reach.size, end - start, chosen, points)
+                        if deepest <= contact_gap:
+                            contact_status = CONTACT
+                    match_points(candidates, points, count, history_in, env, start, end, reach.size, taken)
+                    write_points(
+                        state, env, body_1, pose, patches, candidates, points, count, contact_gap, history_in,
+                        history_out, manifold_points,
+                    )  # fmt: skip
+                    # Mean of the closed points, until impulses are known.
+                    closed = double(0.0)
+                    for i in range(count):
+                        slot = points[i].slot
+                        if history_out.is_closed[env, slot] == 1:
+                            closed += double(1.0)
+                            center_W += to_float64(manifold_points.position[env, slot])
+                            normal_W += to_float64(manifold_points.normal[env, slot])
+                    if closed > double(0.0):
+                        center_W = center_W / closed
+                        normal_W = wp.normalize(normal_W)
+            history_out.reference[env, number] = reference
+            history_out.count[env, number] = count
+            is_contact = contact_status == CONTACT
+            body_contacts.status[env, pair] = contact_status
+            body_contacts.depth[env, pair] = real(wp.max(-deepest, double(0.0)))
+            body_contacts.share[env, pair] = real(wp.where(is_contact, share, double(0.0)))
+            body_contacts.normal[env, pair] = from_float64(normal_W)
+            body_contacts.center[env, pair] = from_float64(center_W)
+            # Points have no area.
+            body_contacts.area[env, pair] = not_a_number
+            body_contacts.volume[env, pair] = not_a_number
+            body_contacts.max_pressure[env, pair] = not_a_number
+
+    return find_manifolds_of_pairs
+
+
+@functools.cache
+def accept_manifolds() -> wp.Kernel:
+    """Returns the kernel that stores the points of accepted steps; items: nonsmooth pairs."""
+
+    @unique_kernel()
+    def accept_points(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        manifold_pairs: ManifoldPairs,
+        history_out: ManifoldHistory,
+        history: ManifoldHistory,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            number = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            history.reference[env, number] = history_out.reference[env, number]
+            before = history.count[env, number]
+            history.count[env, number] = history_out.count[env, number]
+            if before == 0 and history_out.count[env, number] == 0:
+                continue
+            for slot in range(manifold_pairs.slot_start[number], manifold_pairs.slot_start[number + 1]):
+                history.feature_1[env, slot] = history_out.feature_1[env, slot]
+                history.feature_2[env, slot] = history_out.feature_2[env, slot]
+                history.position[env, slot] = history_out.position[env, slot]
+                history.is_closed[env, slot] = history_out.is_closed[env, slot]
+
+    return accept_points
+
+
+@functools.cache
+def reset_manifolds(real: type) -> wp.Kernel:
+    """Returns the kernel that removes all points. Launch with dim (env, pair)."""
+    ManifoldPoints = manifold_structs(real).ManifoldPoints
+    clear_points = clear_points_of(real)
+
+    @unique_kernel(runs_rarely=True)
+    def reset_points(
+        mask: wp.array(dtype=wp.bool),
+        manifold_pairs: ManifoldPairs,
+        history: ManifoldHistory,
+        history_out: ManifoldHistory,
+        manifold_points: ManifoldPoints,
+    ):
+        env, number = wp.tid()
+        if not mask[env]:
+            return
+        start = manifold_pairs.slot_start[number]
+        end = manifold_pairs.slot_start[number + 1]
+        history.reference[env, number] = 0
+        history.count[env, number] = 0
+        history_out.count[env, number] = 0
+        clear_points(history_out, manifold_points, env, start, end)
+        for slot in range(start, end):
+            history.feature_1[env, slot] = 0
+            history.feature_2[env, slot] = 0
+            history.is_closed[env, slot] = 0
+
+    return reset_points

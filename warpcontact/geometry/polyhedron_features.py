@@ -1,0 +1,102 @@
+"""Features of polyhedra: edges with their faces, and planes, by which contact points are identified."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.geometry.polyhedron import Polyhedron
+
+#: Largest number of planes of a convex solid whose planes and edges are all compared; others are treated as meshes.
+MAX_CONVEX_PLANES = 200
+# Sine of the angle between two faces, below which their edge is flat.
+_FLAT = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PolyhedronFeatures:
+    """Features of a polyhedron.
+
+    Attributes:
+        corners: Vertices of faces, (N,).
+        edges: Two vertices and two faces of each edge, convex ones first, (E, 4). The edge runs from the first to the second
+            vertex in the first face. The second face is −1 at a boundary.
+        sharp_count: Number of convex edges.
+        face_edges: Edges of each face, the first from its first to its second vertex, (F, 4); the last of a triangle is −1.
+        face_planes: Plane of each face, (F,).
+        is_convex: Whether the polyhedron is convex with at most ``MAX_CONVEX_PLANES`` planes.
+        box_planes: Planes of a box on both sides of each axis, (6,); −1 if the polyhedron is no box with the axes of its frame.
+    """
+
+    corners: NDArray[np.int32]
+    edges: NDArray[np.int32]
+    sharp_count: int
+    face_edges: NDArray[np.int32]
+    face_planes: NDArray[np.int32]
+    is_convex: bool
+    box_planes: NDArray[np.int32]
+
+    @classmethod
+    def of_plane(cls) -> "PolyhedronFeatures":
+        """Returns the features of a half-space: one face without vertices."""
+        nothing = np.zeros(0, dtype=np.int32)
+        face_edges = np.full((1, 4), -1, dtype=np.int32)
+        edges, planes = np.zeros((0, 4), dtype=np.int32), np.zeros(1, dtype=np.int32)
+        return cls(nothing, edges, 0, face_edges, planes, False, np.full(6, -1, dtype=np.int32))
+
+    @classmethod
+    def of(cls, polyhedron: Polyhedron) -> "PolyhedronFeatures":
+        """Returns the features of a polyhedron."""
+        faces = polyhedron.faces
+        counts = (faces >= 0).sum(axis=1)
+        starts = np.where(np.arange(4) < counts[:, None], faces, -1)
+        ends = np.take_along_axis(faces, (np.arange(4) + 1) % counts[:, None], axis=1)
+        own = np.argwhere(starts >= 0)
+        start, end = starts[starts >= 0], ends[starts >= 0]
+        # Both directions of an edge have the same key.
+        keys = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)
+        _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        number = number.reshape(-1)
+        edges = np.full((len(first), 4), -1, dtype=np.int32)
+        edges[:, 0], edges[:, 1], edges[:, 2] = start[first], end[first], own[first, 0]
+        other = np.setdiff1d(np.arange(len(own)), first)
+        edges[number[other], 3] = own[other, 0]
+        sharp = _is_convex(polyhedron, edges)
+        order = np.argsort(~sharp, kind="stable")
+        renumbered = np.empty(len(order), dtype=np.int32)
+        renumbered[order] = np.arange(len(order), dtype=np.int32)
+        face_edges = np.full(faces.shape, -1, dtype=np.int32)
+        face_edges[own[:, 0], own[:, 1]] = renumbered[number]
+        corners = np.unique(faces[faces >= 0]).astype(np.int32)
+        sharp_count = int(sharp.sum())
+        planes, box_planes = polyhedron.face_planes, _box_planes(polyhedron)
+        return cls(
+            corners, edges[order], sharp_count, face_edges, planes, has_convex_features(polyhedron), box_planes
+        )
+
+
+def has_convex_features(polyhedron: Polyhedron) -> bool:
+    """Returns whether a polyhedron is convex with at most ``MAX_CONVEX_PLANES`` planes."""
+    return len(polyhedron.plane_faces) <= MAX_CONVEX_PLANES and polyhedron.is_convex
+
+
+def _box_planes(polyhedron: Polyhedron) -> NDArray[np.int32]:
+    """Returns the planes of a box, (6,); −1 if a polyhedron is no box with the axes of its frame."""
+    normals = polyhedron.planes()[0][polyhedron.plane_faces]
+    planes = np.full(6, -1, dtype=np.int32)
+    if len(normals) == 6 and polyhedron.is_convex:
+        axes = np.abs(normals).argmax(axis=1)
+        exact = np.eye(3)[axes] * np.sign(normals[np.arange(6), axes])[:, None]
+        numbers = 2 * axes + (normals[np.arange(6), axes] > 0.0)
+        if np.array_equal(np.abs(normals), np.abs(exact)) and len(np.unique(numbers)) == 6:
+            planes[numbers] = np.arange(6)
+    return planes
+
+
+def _is_convex(polyhedron: Polyhedron, edges: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Returns whether each edge has two faces that form a convex angle."""
+    normals = polyhedron.planes()[0]
+    along = polyhedron.vertices[edges[:, 1]] - polyhedron.vertices[edges[:, 0]]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    turns = np.einsum("ij,ij->i", np.cross(normals[edges[:, 2]], normals[edges[:, 3]]), along)
+    return (edges[:, 3] >= 0) & (turns > _FLAT)
