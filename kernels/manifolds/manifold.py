@@ -1,13 +1,10 @@
-"""Manifolds of pairs of solids: points with gaps and normals, identified with those of the last step.
-
-A point keeps its slot, and with it its impulse, if its features are the same, or else if it is the nearest point within a
-tenth of the size of its patch.
-"""
+"""Manifolds of pairs of solids: points with gaps and normals, which ``point_matching.py`` identifies from step to step."""
 
 import functools
 
 import warp as wp
 from warpcontact.kernels.body_contact import solids as solid_functions
+from warpcontact.kernels.body_contact.curved_solids import CURVED
 from warpcontact.kernels.body_contact.face_trees import PENDING_NODES
 from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
 from warpcontact.kernels.body_contact.solids import (
@@ -15,8 +12,11 @@ from warpcontact.kernels.body_contact.solids import (
     HAS_BOUNDARY,
     Geometries,
     PairPose,
+    RelativePose,
     SolidPose,
     Solids,
+    inverse_pose,
+    no_motion,
 )
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, are_apart, solid_geometry
 from warpcontact.kernels.frames import functions as frame_functions
@@ -27,13 +27,21 @@ from warpcontact.kernels.manifolds.candidates import (
     POINTS,
     Candidate,
     Patch,
-    choose_points,
 )
+from warpcontact.kernels.manifolds.capsules import capsule_manifold
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex import NO_REFERENCE, add_vertices_below, convex_manifold
+from warpcontact.kernels.manifolds.curved import (
+    SUPPORTS,
+    CurvedPair,
+    Support,
+    add_curved_above,
+    curved_manifold,
+)
 from warpcontact.kernels.manifolds.face_clipping import CLIPPED_CORNERS, ClippedCorner
 from warpcontact.kernels.manifolds.features import Features
 from warpcontact.kernels.manifolds.meshes import mesh_manifold
+from warpcontact.kernels.manifolds.point_matching import ManifoldPoint, choose_all, match_points
 from warpcontact.kernels.manifolds.records import ManifoldHistory, ManifoldPairs, manifold_structs
 from warpcontact.kernels.types import (
     CONTACT,
@@ -54,20 +62,11 @@ vec3d = wp.vec3d
 # Largest gap of a point: a multiple of the relative displacement in a step, and a fraction of the size of the bodies.
 STEP_MARGIN = wp.constant(double(2.0))
 SIZE_MARGIN = wp.constant(double(1.0e-3))
-# Distance, relative to the size of a patch, up to which a point is the nearest one of the last step.
-NEAREST = wp.constant(double(0.1))
+# Kinds of pairs.
+ON_HALF_SPACE, BOTH_CONVEX, MESHES = (wp.constant(i) for i in range(3))
+CURVED_ON_HALF_SPACE, CURVED_ON_FACES, BOTH_CURVED = (wp.constant(i) for i in range(3, 6))
 #: Points, candidates and clipped corners of a pair.
 MAX_POINTS, ALL_CANDIDATES, CLIP_BUFFER = MAX_PATCHES * POINTS, MAX_PATCHES * CANDIDATES, 2 * CLIPPED_CORNERS
-
-
-@wp.struct
-class ManifoldPoint:
-    """A point of a manifold while it is identified, in the frame of the second solid."""
-
-    candidate: wp.int32
-    patch: wp.int32
-    slot: wp.int32  # −1: not found yet
-    is_matched: wp.int32  # 1: the slot has the same point of the last step
 
 
 @wp.func
@@ -107,95 +106,36 @@ def is_within_reach(first: SolidGeometry, second: SolidGeometry, pose: PairPose,
 
 
 @wp.func
-def choose_all(
-    patches: wp.array(dtype=Patch),
-    candidates: wp.array(dtype=Candidate),
-    size: double,
-    capacity: int,
-    chosen: wp.array(dtype=wp.int32),
-    points: wp.array(dtype=ManifoldPoint),
-):
-    """Writes the points of all patches to ``points``; returns their number, at most ``capacity``."""
-    count = wp.int32(0)
-    for patch in range(MAX_PATCHES):
-        found = choose_points(patches[patch], candidates, CANDIDATES * patch, size, chosen)
-        for i in range(found):
-            if count < capacity:
-                points[count].candidate = chosen[i]
-                points[count].patch = patch
-                points[count].slot = -1
-                points[count].is_matched = 0
-                count += 1
-    return count
+def pair_kind(first: SolidGeometry, second: SolidGeometry, are_convex: bool):
+    """Returns the kind of a pair, which decides how its points are found."""
+    half_space = (second.flags & HALF_SPACE) != 0
+    if (first.flags & CURVED) != 0 and (second.flags & CURVED) != 0:
+        return BOTH_CURVED
+    if ((first.flags | second.flags) & CURVED) != 0:
+        return wp.where(half_space, CURVED_ON_HALF_SPACE, CURVED_ON_FACES)
+    if half_space:
+        return ON_HALF_SPACE
+    return wp.where(are_convex, BOTH_CONVEX, MESHES)
 
 
 @wp.func
-def patch_size(
-    candidates: wp.array(dtype=Candidate),
-    points: wp.array(dtype=ManifoldPoint),
-    count: int,
-    patch: int,
-    size: double,
-):
-    """Returns the largest distance of two points of a patch, or ``size`` if there is only one [m]."""
-    largest = double(0.0)
-    for i in range(count):
-        for k in range(i):
-            if points[i].patch == patch and points[k].patch == patch:
-                difference = candidates[points[i].candidate].position - candidates[points[k].candidate].position
-                largest = wp.max(largest, wp.length(difference))
-    return wp.where(largest > double(0.0), largest, size)
-
-
-@wp.func
-def match_points(
-    candidates: wp.array(dtype=Candidate),
-    points: wp.array(dtype=ManifoldPoint),
-    count: int,
-    history: ManifoldHistory,
-    env: int,
-    start: int,
-    end: int,
-    size: double,
-    taken: wp.array(dtype=wp.int32),
-):
-    """Assigns a slot to each point: that of the same point of the last step, or else a free one."""
-    for k in range(end - start):
-        taken[k] = 0
-    for i in range(count):
-        feature = candidates[points[i].candidate].feature
-        for slot in range(start, end):
-            if taken[slot - start] == 0 and points[i].slot < 0:
-                same = history.feature_1[env, slot] == feature.first
-                if same and history.feature_2[env, slot] == feature.second:
-                    taken[slot - start] = 1
-                    points[i].slot = slot
-                    points[i].is_matched = 1
-    for i in range(count):
-        if points[i].slot >= 0:
-            continue
-        position = candidates[points[i].candidate].position
-        nearest = NEAREST * patch_size(candidates, points, count, points[i].patch, size)
-        best = wp.int32(-1)
-        for slot in range(start, end):
-            if taken[slot - start] == 0 and history.feature_1[env, slot] != 0:
-                distance = wp.length(history.position[env, slot] - position)
-                if distance < nearest:
-                    nearest = distance
-                    best = slot
-        if best >= 0:
-            taken[best - start] = 1
-            points[i].slot = best
-            points[i].is_matched = 1
-    # New points take slots without a point first.
-    for used in range(2):
-        for slot in range(start, end):
-            if taken[slot - start] == 1 or (used == 0 and history.feature_1[env, slot] != 0):
-                continue
-            for i in range(count):
-                if points[i].slot < 0 and taken[slot - start] == 0:
-                    taken[slot - start] = 1
-                    points[i].slot = slot
+def pair_with_curved(first: SolidGeometry, second: SolidGeometry, first_in_second: RelativePose, kappa: double):
+    """Returns the ``CurvedPair`` of a polyhedron and a curved solid, in either order."""
+    pair = CurvedPair()
+    pair.own = second
+    pair.other = first
+    pair.pose = first_in_second
+    pair.second_frame = no_motion()
+    pair.kappa = kappa
+    pair.own_is_second = True
+    if (second.flags & CURVED) != 0:
+        pair.own = first
+        pair.other = second
+        pair.pose = inverse_pose(first_in_second)
+        pair.second_frame = first_in_second
+        pair.kappa = double(1.0) - kappa
+        pair.own_is_second = False
+    return pair
 
 
 @functools.cache
@@ -222,8 +162,15 @@ def clear_points_of(real: type) -> wp.Function:
 
 
 @functools.cache
-def find_manifolds(real: type) -> wp.Kernel:
-    """Returns the kernel that finds the manifolds of nonsmooth pairs; items: these pairs."""
+def find_manifolds(real: type, has_convex: bool, has_meshes: bool, has_curved: bool) -> wp.Kernel:
+    """Returns the kernel that finds the manifolds of nonsmooth pairs; items: these pairs.
+
+    Args:
+        real: Precision of the state.
+        has_convex: Whether there are pairs of convex polyhedra.
+        has_meshes: Whether there are other pairs of polyhedra, without half-spaces.
+        has_curved: Whether there are pairs with a curved solid.
+    """
     t = structs(real)
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
@@ -368,6 +315,7 @@ def find_manifolds(real: type) -> wp.Kernel:
         points = wp.zeros(shape=(MAX_POINTS,), dtype=ManifoldPoint)
         taken = wp.zeros(shape=(MAX_POINTS,), dtype=wp.int32)
         pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
+        supports = wp.zeros(shape=(SUPPORTS,), dtype=Support)
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
             number = task_item(launch, task)
@@ -416,28 +364,48 @@ def find_manifolds(real: type) -> wp.Kernel:
                 if near:
                     geometry_1 = pose_1.geometry
                     geometry_2 = pose_2.geometry
-                    if half_space:
-                        reference = NO_REFERENCE
+                    kind = pair_kind(first, second, are_convex)
+                    reference_in = reference
+                    reference = NO_REFERENCE
+                    share = double(wp.nan)
+                    if kind == ON_HALF_SPACE:
                         share = double(1.0)
                         add_vertices_below(
                             geometries, features, first, geometry_1, second, pose.first_in_second, setting.kappa,
                             reach, pending, patches, candidates,
                         )  # fmt: skip
-                    elif are_convex:
-                        reference = convex_manifold(
-                            geometries, features, first, geometry_1, second, geometry_2, pose.first_in_second,
-                            setting.kappa, reference, reach, corners, patches, candidates,
-                        )  # fmt: skip
-                        share = double(0.5)
-                        if reference > 0:
-                            share = double(1.0) - double((reference - 1) % 2)
-                    else:
-                        reference = NO_REFERENCE
-                        share = double(wp.nan)
-                        mesh_manifold(
-                            geometries, features, first, geometry_1, second, geometry_2, pose.first_in_second,
-                            setting.kappa, reach, corners, pending, patches, candidates,
-                        )  # fmt: skip
+                    if wp.static(has_convex):
+                        if kind == BOTH_CONVEX:
+                            reference = convex_manifold(
+                                geometries, features, first, geometry_1, second, geometry_2, pose.first_in_second,
+                                setting.kappa, reference_in, reach, corners, patches, candidates,
+                            )  # fmt: skip
+                            share = double(0.5)
+                            if reference > 0:
+                                share = double(1.0) - double((reference - 1) % 2)
+                    if wp.static(has_meshes):
+                        if kind == MESHES:
+                            mesh_manifold(
+                                geometries, features, first, geometry_1, second, geometry_2, pose.first_in_second,
+                                setting.kappa, reach, corners, pending, patches, candidates,
+                            )  # fmt: skip
+                    if wp.static(has_curved):
+                        if kind == CURVED_ON_HALF_SPACE:
+                            share = double(1.0)
+                            add_curved_above(
+                                first, second.first_plane, pose.first_in_second, setting.kappa, reach, supports,
+                                patches, candidates,
+                            )  # fmt: skip
+                        elif kind == BOTH_CURVED:
+                            share = double(0.5)
+                            capsule_manifold(
+                                first, second, pose.first_in_second, setting.kappa, reach, patches, candidates
+                            )
+                        elif kind == CURVED_ON_FACES:
+                            curved_pair = pair_with_curved(first, second, pose.first_in_second, setting.kappa)
+                            curved_manifold(
+                                geometries, features, curved_pair, reach, supports, pending, patches, candidates
+                            )
                     for patch in range(MAX_PATCHES):
                         if patches[patch].count > 0:
                             deepest = wp.min(deepest, patches[patch].gap)

@@ -37,11 +37,11 @@ class PolyhedronFeatures:
     box_planes: NDArray[np.int32]
 
     @classmethod
-    def of_plane(cls) -> "PolyhedronFeatures":
-        """Returns the features of a half-space: one face without vertices."""
+    def without_edges(cls, count: int) -> "PolyhedronFeatures":
+        """Returns the features of a half-space or a curved solid: ``count`` faces without vertices."""
         nothing = np.zeros(0, dtype=np.int32)
-        face_edges = np.full((1, 4), -1, dtype=np.int32)
-        edges, planes = np.zeros((0, 4), dtype=np.int32), np.zeros(1, dtype=np.int32)
+        face_edges = np.full((count, 4), -1, dtype=np.int32)
+        edges, planes = np.zeros((0, 4), dtype=np.int32), np.arange(count, dtype=np.int32)
         return cls(nothing, edges, 0, face_edges, planes, False, np.full(6, -1, dtype=np.int32))
 
     @classmethod

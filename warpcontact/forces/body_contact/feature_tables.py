@@ -14,11 +14,14 @@ if TYPE_CHECKING:
     from warpcontact.storage.allocation_plan import AllocationPlan
 
 
-def declare_features(geometries: Sequence[Polyhedron | None], layout: "AllocationPlan", purpose: str) -> Features:
-    """Declares the features of geometries; ``None`` is a half-space.
+def declare_features(
+    geometries: Sequence[Polyhedron | None], face_counts: Sequence[int], layout: "AllocationPlan", purpose: str
+) -> Features:
+    """Declares the features of geometries; ``None`` is a half-space or a curved solid.
 
     Args:
         geometries: The geometries, in the order of their numbers.
+        face_counts: Number of faces of those that are no polyhedra: 1 for a half-space, 0 for a curved solid.
         layout: Allocation plan to which the tables are added.
         purpose: Their purpose, for memory estimates.
     """
@@ -33,10 +36,10 @@ def declare_features(geometries: Sequence[Polyhedron | None], layout: "Allocatio
     }
     starts["is_convex"] = []
     vertex_count, face_count, plane_count = 1, 0, 0
-    for geometry in geometries:
+    for geometry, face_count_without in zip(geometries, face_counts, strict=True):
         edge_count = starts["edge_start"][-1]
         if geometry is None:
-            own = PolyhedronFeatures.of_plane()
+            own = PolyhedronFeatures.without_edges(face_count_without)
         else:
             own = PolyhedronFeatures.of(geometry)
         faces = len(own.face_planes)

@@ -67,6 +67,8 @@ class ManifoldSet:
                 starts.append(starts[-1] + patches * POINTS)
             self.contacts[contact] = slice(first_pair, len(numbers)), slice(first_slot, starts[-1])
         self.count, self.slot_count = len(numbers), starts[-1]
+        # Whether there are pairs of convex polyhedra, of other polyhedra, and with curved solids.
+        self._kinds = tables.pair_kinds([pair for contact in contacts for pair in contact.pairs])
         self.pairs = ManifoldPairs()
         layout.constant(_PURPOSE, self.pairs, "item", numbers, wp.int32)
         layout.constant(_PURPOSE, self.pairs, "slot_start", starts, wp.int32)
@@ -103,7 +105,7 @@ class ManifoldSet:
         """Returns the launch that finds the manifolds in ``state``, for a step of length ``step`` [env, 0] [s]."""
         one = self.body_contacts
         return plan.prepare(
-            manifold.find_manifolds(self.real),
+            manifold.find_manifolds(self.real, *self._kinds),
             self.count,
             status=status,
             model=plan.model.arrays.model,

@@ -138,11 +138,31 @@ class SolidTables:
         return 0.5 * (kind.upper - kind.lower) * curved_scale(solid.kind, sizes)
 
     def has_one_patch(self, first: Solid, second: Solid) -> bool:
-        """Returns whether all points of two solids have one normal: with a half-space, or if both are convex."""
+        """Returns whether all points have one normal: on half-spaces, of convex polyhedra, and of spheres and capsules."""
         geometries = [self._geometries_of(solid) for solid in (first, second)]
+        if all(one in CURVED_KINDS for own in geometries for one in own):
+            return True
         return geometries[1] == [Plane] or all(
             isinstance(one, Polyhedron) and has_convex_features(one) for own in geometries for one in own
         )
+
+    def pair_kinds(self, pairs: Sequence[tuple[Solid, Solid]]) -> tuple[bool, bool, bool]:
+        """Returns whether there are pairs of convex polyhedra, of other polyhedra, and with curved solids.
+
+        Solids with several meshes may be of both kinds of polyhedra. Half-spaces do not count.
+        """
+        convex = meshes = curved = False
+        for pair in pairs:
+            geometries = [self._geometries_of(solid) for solid in pair]
+            if any(one in CURVED_KINDS for own in geometries for one in own):
+                curved = True
+            elif geometries[1] != [Plane]:
+                every = [
+                    isinstance(one, Polyhedron) and has_convex_features(one) for own in geometries for one in own
+                ]
+                convex = convex or any(every)
+                meshes = meshes or not all(every)
+        return convex, meshes, curved
 
     def _geometries_of(self, solid: Solid) -> list[Polyhedron | type[Form]]:
         first = self._first[self._numbers[solid]]
@@ -151,7 +171,8 @@ class SolidTables:
     def declare_features(self, layout: "AllocationPlan") -> Features:
         """Declares the features of the geometries, for manifolds."""
         polyhedra = [one if isinstance(one, Polyhedron) else None for one in self._geometries]
-        return declare_features(polyhedra, layout, _PURPOSE)
+        faces = [0 if one in CURVED_KINDS else 1 for one in self._geometries]
+        return declare_features(polyhedra, faces, layout, _PURPOSE)
 
     def _add_geometries(self, solid: Solid) -> int:
         """Adds the geometries of a solid, unless they are there; returns the number of the first."""

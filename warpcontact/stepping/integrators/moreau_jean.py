@@ -122,6 +122,9 @@ class MoreauJean(Integrator):
             ValueError: If not, if a contact is swept, if a nonsmooth body contact has a curved solid, or if a name in ``compliant`` does not exist.
         """
         contacts = formulas_of(scene)
+        for body_contact in scene.body_contacts:
+            if body_contact.name not in self.compliant:
+                body_contact.check_nonsmooth()
         forces = {contact.name for contact in scene.contacts if contact.facing is not None}
         for name in self.compliant:
             if name not in contacts or name in forces:
@@ -135,13 +138,6 @@ class MoreauJean(Integrator):
                 if formula.rigid:
                     why = "compliant: " if name in self.compliant else "contact couplings are forces: "
                     raise ValueError(f"{why}{name}.{part} is {type(formula).__name__}, which has no force")
-        for body_contact in scene.body_contacts:
-            if body_contact.name not in self.compliant and (solid := body_contact.curved_solid) is not None:
-                raise ValueError(
-                    f"{body_contact.name}: {solid.name!r} is a {solid.kind.__name__}; nonsmooth body contact supports "
-                    "meshes, boxes and half-spaces. Use add_shape_contact, a mesh, or "
-                    f"compliant=[{body_contact.name!r}]"
-                )
         for contact in scene.contacts:
             if contact.swept:
                 raise ValueError(

@@ -1,0 +1,430 @@
+"""Manifolds of curved solids on half-spaces and on the faces, edges and vertices of polyhedra.
+
+On a plane, the points of a curved solid are its lowest points: the point of a sphere or ellipsoid, the ends of the lowest line of
+a capsule, cylinder or cone, and points of the circular edge of a flat end: the lowest one, and four that are fixed to the
+solid, so that they are defined if it stands upright. On a face, they are cut by its edges. Edges and vertices of a polyhedron touch spheres, capsules
+and the curved surface of cylinders along the line to the nearest point of their axis.
+"""
+
+import warp as wp
+from warpcontact.kernels.body_contact.curved_solids import CAPSULE, CONE, CYLINDER, ELLIPSOID
+from warpcontact.kernels.body_contact.face_trees import next_leaf_in_box, start_traversal
+from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, corner_count, no_motion
+from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, bounding_box, plane_offset
+from warpcontact.kernels.manifolds.candidates import Candidate, Patch, add_candidate
+from warpcontact.kernels.manifolds.collect import Reach
+from warpcontact.kernels.manifolds.curved_features import add_edges_of_face, curved_feature
+from warpcontact.kernels.manifolds.face_clipping import ON_EDGE
+from warpcontact.kernels.manifolds.features import (
+    Feature,
+    Features,
+    edge_feature,
+    moved,
+    plane_feature,
+    vertex_feature,
+    vertex_position,
+)
+from warpcontact.kernels.manifolds.meshes import patch_for
+
+double = wp.float64
+vec3d = wp.vec3d
+
+#: Largest number of points of a curved solid on a plane.
+SUPPORTS = 6
+# Numbers of points of a curved solid: fixed on a circular edge (from 0), at the ends of a line, cut from a line, at the edge of a flat end.
+LINE_START, LINE_END, CUT_LINE, CIRCLE_ENTRY, CIRCLE_EXIT, COVERED = 8, 9, 10, 11, 12, 13
+# Cosine of the angle between axis and direction from which on a flat end is turned towards a plane.
+FACING_END = wp.constant(double(0.5))
+# Distance relative to the size by which a face is preferred to the flat end of a curved solid as the reference.
+PREFERENCE = wp.constant(double(1.0e-6))
+# Distance relative to the size by which the lowest point may be deeper than those above a face.
+FACE_HYSTERESIS = wp.constant(double(2.0e-4))
+
+
+@wp.struct
+class Support:
+    """A point of a curved solid, in its frame."""
+
+    position: vec3d  # [m]
+    number: wp.int32  # which identifies it
+
+
+@wp.func
+def flat_end(flags: int, direction: vec3d):
+    """Returns the side (−1 or 1) of the flat end of a curved solid that is turned towards a direction; 0: none is."""
+    if (flags & CYLINDER) != 0 and wp.abs(direction[2]) > FACING_END:
+        return wp.where(direction[2] > double(0.0), 1, -1)
+    if (flags & CONE) != 0 and direction[2] < -FACING_END:
+        return -1
+    return 0
+
+
+@wp.func
+def end_height(flags: int, scale: vec3d, side: int):
+    """Returns the coordinate of a flat end along the axis [m]."""
+    if (flags & CONE) != 0:
+        return double(0.0)
+    return double(side) * scale[2]
+
+
+@wp.func
+def support_points(flags: int, scale: vec3d, direction: vec3d, supports: wp.array(dtype=Support)):
+    """Writes the points of a curved solid that are farthest along a direction; returns their number.
+
+    The first two are the ends of a line, except for ellipsoids.
+
+    Args:
+        flags: Properties of the solid.
+        scale: Its scale [m].
+        direction: Unit vector in its frame.
+        supports: Receives the points.
+    """
+    r = scale[0]
+    if (flags & ELLIPSOID) != 0:
+        weighted = wp.cw_mul(scale, direction)
+        supports[0].position = wp.cw_mul(scale, weighted) / wp.length(weighted)
+        supports[0].number = LINE_START
+        return 1
+    supports[0].number = LINE_START
+    supports[1].number = LINE_END
+    if (flags & CAPSULE) != 0:
+        half = vec3d(double(0.0), double(0.0), scale[2] - r)
+        supports[0].position = r * direction - half
+        supports[1].position = r * direction + half
+        return 2
+    across = vec3d(direction[0], direction[1], double(0.0))
+    size = wp.length(across)
+    lowest = vec3d(r, double(0.0), double(0.0))
+    if size > double(0.0):
+        lowest = (r / size) * across
+    supports[0].position = lowest
+    supports[1].position = vec3d(double(0.0), double(0.0), scale[2])
+    if (flags & CYLINDER) != 0:
+        supports[0].position = lowest - supports[1].position
+        supports[1].position = lowest + supports[1].position
+    side = flat_end(flags, direction)
+    if side == 0:
+        return 2
+    z = end_height(flags, scale, side)
+    for k in range(4):
+        extent = wp.where(k % 2 == 0, r, -r)
+        supports[2 + k].position = wp.where(k < 2, vec3d(extent, double(0.0), z), vec3d(double(0.0), extent, z))
+        supports[2 + k].number = wp.where(side > 0, k, 4 + k)
+    return SUPPORTS
+
+
+@wp.func
+def add_curved_above(
+    curved: SolidGeometry,
+    plane: int,
+    pose: RelativePose,
+    kappa: double,
+    reach: Reach,
+    supports: wp.array(dtype=Support),
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds the points of a curved solid near a half-space z ≤ 0 as candidates of the first patch.
+
+    ``plane``: number of its plane. ``pose``: of the curved solid in the frame of the half-space.
+    """
+    patches[0].normal = vec3d(double(0.0), double(0.0), double(1.0))
+    patches[0].gap = double(wp.inf)
+    direction = wp.transpose(pose.rotation) * vec3d(double(0.0), double(0.0), double(-1.0))
+    count = support_points(curved.flags, curved.scale, direction, supports)
+    for i in range(count):
+        position = moved(pose, supports[i].position)
+        gap = position[2]
+        if gap <= reach.margin:
+            position[2] = kappa * gap
+            feature = Feature()
+            feature.first = vertex_feature(supports[i].number)
+            feature.second = plane_feature(plane)
+            add_candidate(patches, candidates, 0, position, gap, feature)
+
+
+@wp.struct
+class CurvedPair:
+    """A polyhedron and a curved solid."""
+
+    own: SolidGeometry  # the polyhedron
+    other: SolidGeometry  # the curved solid
+    pose: RelativePose  # of the curved solid in the frame of the polyhedron
+    second_frame: RelativePose  # of the polyhedron in the frame of the second solid
+    kappa: double  # points are at kappa × the gap from the polyhedron
+    own_is_second: wp.bool  # whether the polyhedron is the second solid
+
+
+@wp.struct
+class FaceReference:
+    """The normal along which gaps above a face are measured, and the patch of its points."""
+
+    normal: vec3d  # out of the polyhedron, in its frame
+    cosine: double  # of this normal and that of the face
+    patch: wp.int32
+
+
+@wp.func
+def add_point(
+    pair: CurvedPair,
+    reference: FaceReference,
+    position: vec3d,
+    height: double,
+    curved_number: int,
+    own_feature: int,
+    reach: Reach,
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds a point of a curved solid at a height above a face of the polyhedron as a candidate, if it is within reach."""
+    gap = height * reference.cosine
+    if gap > reach.margin or gap < -reach.depth:
+        return
+    acting = position - ((double(1.0) - pair.kappa) * gap) * reference.normal
+    feature = curved_feature(curved_number, own_feature, pair.own_is_second)
+    add_candidate(patches, candidates, reference.patch, moved(pair.second_frame, acting), gap, feature)
+
+
+@wp.func
+def distance_inside(geometries: Geometries, own: SolidGeometry, face: int, position: vec3d):
+    """Returns the smallest distance of a point from the edges of a face, in its plane; negative outside [m]."""
+    vertices = geometries.face[face]
+    count = corner_count(vertices)
+    normal = geometries.normal[face]
+    start = vertex_position(geometries, vertices[count - 1], own)
+    least = double(wp.inf)
+    for i in range(count):
+        end = vertex_position(geometries, vertices[i], own)
+        least = wp.min(least, wp.dot(wp.normalize(wp.cross(normal, end - start)), position - start))
+        start = end
+    return least
+
+
+@wp.func
+def add_line(
+    geometries: Geometries,
+    features: Features,
+    pair: CurvedPair,
+    face: int,
+    reference: FaceReference,
+    start: vec3d,
+    end: vec3d,
+    start_height: double,
+    end_height: double,
+    reach: Reach,
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds the ends of the part of a line of a curved solid that is above a face as candidates."""
+    vertices = geometries.face[face]
+    count = corner_count(vertices)
+    normal = geometries.normal[face]
+    tolerance = ON_EDGE * reach.size
+    first = double(0.0)
+    last = double(1.0)
+    first_edge = wp.int32(-1)
+    last_edge = wp.int32(-1)
+    for i in range(count):
+        corner = vertex_position(geometries, vertices[i], pair.own)
+        edge = vertex_position(geometries, vertices[wp.where(i == count - 1, 0, i + 1)], pair.own) - corner
+        inward = wp.normalize(wp.cross(normal, edge))
+        at_start = wp.dot(inward, start - corner) + tolerance
+        at_end = wp.dot(inward, end - corner) + tolerance
+        if at_start < double(0.0) and at_end < double(0.0):
+            return
+        if (at_start < double(0.0)) != (at_end < double(0.0)):
+            fraction = at_start / (at_start - at_end)
+            if at_start < double(0.0) and fraction > first:
+                first = fraction
+                first_edge = features.face_edge[face][i]
+            elif at_end < double(0.0) and fraction < last:
+                last = fraction
+                last_edge = features.face_edge[face][i]
+    lowest = wp.min(start_height, end_height)
+    # A short part of a deep line is above a side wall.
+    if last < first or (last - first) * wp.length(end - start) < -lowest * reference.cosine:
+        return
+    own_feature = plane_feature(features.face_plane[face])
+    number = wp.int32(LINE_START)
+    if first_edge >= 0:
+        own_feature = edge_feature(first_edge)
+        number = CUT_LINE
+    height = start_height + first * (end_height - start_height)
+    add_point(
+        pair, reference, start + first * (end - start), height, number, own_feature, reach, patches, candidates
+    )
+    own_feature = plane_feature(features.face_plane[face])
+    number = LINE_END
+    if last_edge >= 0:
+        own_feature = edge_feature(last_edge)
+        number = CUT_LINE
+    height = start_height + last * (end_height - start_height)
+    add_point(
+        pair, reference, start + last * (end - start), height, number, own_feature, reach, patches, candidates
+    )
+
+
+@wp.func
+def on_end(pair: CurvedPair, position: vec3d, normal: vec3d, z: double):
+    """Returns the point of the plane of a flat end above a point of the polyhedron, in the frame of the curved solid.
+
+    Also returns its height along ``normal``, the normal of the face [m]. ``z``: coordinate of the flat end [m].
+    """
+    to_curved = wp.transpose(pair.pose.rotation)
+    local = to_curved * (position - pair.pose.origin)
+    along = to_curved * normal
+    height = (z - local[2]) / along[2]
+    return local + height * along, height
+
+
+@wp.func
+def add_flat_end(
+    geometries: Geometries,
+    features: Features,
+    pair: CurvedPair,
+    face: int,
+    reference: FaceReference,
+    z: double,
+    reach: Reach,
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds the vertices of a face below a flat end, and the crossings of its edges with the circular edge, as candidates."""
+    vertices = geometries.face[face]
+    count = corner_count(vertices)
+    normal = geometries.normal[face]
+    radius = pair.other.scale[0]
+    for i in range(count):
+        corner = vertex_position(geometries, vertices[i], pair.own)
+        following = vertex_position(geometries, vertices[wp.where(i == count - 1, 0, i + 1)], pair.own)
+        a, a_height = on_end(pair, corner, normal, z)
+        b, b_height = on_end(pair, following, normal, z)
+        if a[0] * a[0] + a[1] * a[1] <= radius * radius:
+            add_point(
+                pair, reference, corner + a_height * normal, a_height, COVERED, vertex_feature(vertices[i]), reach,
+                patches, candidates,
+            )  # fmt: skip
+        # |a + t (b − a)|² = r² in the plane of the end.
+        along = wp.vec2d(b[0] - a[0], b[1] - a[1])
+        square = wp.dot(along, along)
+        if square == double(0.0):
+            continue
+        middle = -(a[0] * along[0] + a[1] * along[1]) / square
+        beyond = middle * middle - (a[0] * a[0] + a[1] * a[1] - radius * radius) / square
+        if beyond <= double(0.0):
+            continue
+        for root in range(2):
+            t = middle + wp.where(root == 0, -wp.sqrt(beyond), wp.sqrt(beyond))
+            if t < double(0.0) or t > double(1.0):
+                continue
+            height = a_height + t * (b_height - a_height)
+            position = corner + t * (following - corner) + height * normal
+            number = wp.where(root == 0, CIRCLE_ENTRY, CIRCLE_EXIT)
+            edge = edge_feature(features.face_edge[face][i])
+            add_point(pair, reference, position, height, number, edge, reach, patches, candidates)
+
+
+@wp.func
+def add_curved_on_face(
+    geometries: Geometries,
+    features: Features,
+    pair: CurvedPair,
+    face: int,
+    reach: Reach,
+    supports: wp.array(dtype=Support),
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds the points of a curved solid above a face of a polyhedron as candidates."""
+    normal = geometries.normal[face]
+    offset = plane_offset(geometries, pair.own, face)
+    direction = -(wp.transpose(pair.pose.rotation) * normal)
+    flags = pair.other.flags
+    count = support_points(flags, pair.other.scale, direction, supports)
+    lowest = double(wp.inf)
+    for i in range(count):
+        lowest = wp.min(lowest, wp.dot(normal, moved(pair.pose, supports[i].position)) - offset)
+    reference = FaceReference()
+    reference.normal = normal
+    reference.cosine = double(1.0)
+    side = flat_end(flags, direction)
+    z = end_height(flags, pair.other.scale, side)
+    if side != 0:
+        # The flat end is the reference if the whole face is farther from its plane than the end is from that of the face.
+        middle = moved(pair.pose, vec3d(double(0.0), double(0.0), z))
+        axis = double(side) * (pair.pose.rotation * vec3d(double(0.0), double(0.0), double(1.0)))
+        vertices = geometries.face[face]
+        nearest = double(wp.inf)
+        for i in range(corner_count(vertices)):
+            corner = vertex_position(geometries, vertices[i], pair.own)
+            nearest = wp.min(nearest, wp.dot(axis, corner - middle))
+        if nearest > lowest + PREFERENCE * reach.size:
+            reference.normal = -axis
+            reference.cosine = wp.dot(normal, reference.normal)
+            lowest = nearest
+        elif distance_inside(geometries, pair.own, face, middle) + pair.other.scale[0] < -lowest:
+            # A flat end that extends over the face by less than it is deep touches another face.
+            return
+    if lowest > reach.margin or lowest < -reach.depth:
+        return
+    normal_2 = pair.second_frame.rotation * reference.normal
+    if not pair.own_is_second:
+        normal_2 = -normal_2
+    reference.patch = patch_for(patches, normal_2, lowest)
+    if reference.patch < 0:
+        return
+    before = patches[reference.patch].count
+    gap_before = patches[reference.patch].gap
+    patches[reference.patch].gap = double(wp.inf)
+    start = moved(pair.pose, supports[0].position)
+    start_height = wp.dot(normal, start) - offset
+    plane = plane_feature(features.face_plane[face])
+    tolerance = -ON_EDGE * reach.size
+    if count == 1:
+        if distance_inside(geometries, pair.own, face, start) >= tolerance:
+            add_point(pair, reference, start, start_height, LINE_START, plane, reach, patches, candidates)
+    else:
+        end = moved(pair.pose, supports[1].position)
+        line_end_height = wp.dot(normal, end) - offset
+        add_line(
+            geometries, features, pair, face, reference, start, end, start_height, line_end_height, reach, patches,
+            candidates,
+        )  # fmt: skip
+        for i in range(2, count):
+            position = moved(pair.pose, supports[i].position)
+            if distance_inside(geometries, pair.own, face, position) >= tolerance:
+                height = wp.dot(normal, position) - offset
+                add_point(pair, reference, position, height, supports[i].number, plane, reach, patches, candidates)
+        if side != 0:
+            add_flat_end(geometries, features, pair, face, reference, z, reach, patches, candidates)
+    # If the lowest point is not above the face, an edge of the face, or of the solid, has the contact.
+    if patches[reference.patch].gap > lowest + FACE_HYSTERESIS * reach.size:
+        patches[reference.patch].count = before
+        patches[reference.patch].gap = double(wp.inf)
+    patches[reference.patch].gap = wp.min(patches[reference.patch].gap, gap_before)
+
+
+@wp.func
+def curved_manifold(
+    geometries: Geometries,
+    features: Features,
+    pair: CurvedPair,
+    reach: Reach,
+    supports: wp.array(dtype=Support),
+    pending: wp.array(dtype=wp.int32),
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Collects the candidates of a polyhedron and a curved solid in patches."""
+    box = bounding_box(pair.other, pair.pose, reach.margin)
+    still = no_motion()
+    top = start_traversal(pending, 0, pair.own)
+    leaf = next_leaf_in_box(pending, 0, top, geometries, pair.own, still, box)
+    while leaf.end_face > leaf.first_face:
+        for face in range(leaf.first_face, leaf.end_face):
+            add_curved_on_face(geometries, features, pair, face, reach, supports, patches, candidates)
+            add_edges_of_face(
+                geometries, features, pair.own, face, pair.other, pair.pose, pair.second_frame, pair.kappa,
+                pair.own_is_second, reach, patches, candidates,
+            )  # fmt: skip
+        leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
