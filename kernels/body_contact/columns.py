@@ -234,18 +234,27 @@ def column_polygon(
             return polygon
     polygon.count = count
     polygon.weight = double(1.0)
-    polygon = cut_by_depth(corners, polygon, shallowest, deepest)
-    for start in range(frame.count):
+    # One call of ``cut``, which compilers inline: at the two depths, and at the edges of the face.
+    for number in range(-2, frame.count):
+        factors = vec3d(double(0.0), double(0.0), double(1.0))
+        offset = -shallowest
+        if number == -1:
+            if deepest == INFINITE:
+                continue
+            factors = -factors
+            offset = deepest
+        elif number >= 0:
+            end = number + 1
+            if end == frame.count:
+                end = 0
+            along_u = frame.corners[end, 0] - frame.corners[number, 0]
+            along_v = frame.corners[end, 1] - frame.corners[number, 1]
+            factors = vec3d(-along_v, along_u, double(0.0))
+            offset = along_v * frame.corners[number, 0] - along_u * frame.corners[number, 1]
+        polygon = cut(corners, polygon, factors, offset)
         if polygon.count == 0:
             return polygon
-        end = start + 1
-        if end == frame.count:
-            end = 0
-        along_u = frame.corners[end, 0] - frame.corners[start, 0]
-        along_v = frame.corners[end, 1] - frame.corners[start, 1]
-        offset = along_v * frame.corners[start, 0] - along_u * frame.corners[start, 1]
-        polygon = cut(corners, polygon, vec3d(-along_v, along_u, double(0.0)), offset)
-    if polygon.count > 0 and frame.count > 0 and not is_exit(geometries, frame, face):
+    if frame.count > 0 and not is_exit(geometries, frame, face):
         polygon.weight = entry_weight(other, centroid(corners, polygon, DOWN)[2])
     return polygon
 

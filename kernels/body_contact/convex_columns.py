@@ -178,18 +178,29 @@ def exit_polygon(
     cosine = wp.dot(normal, face.direction)
     # Depths times the cosine: offset − normal · position.
     offset = planes[exit, 3]
-    if least < shallowest:
-        polygon = cut(corners, polygon, -normal, offset - shallowest * cosine)
-    if largest > deepest and polygon.count > 0:
-        polygon = cut(corners, polygon, normal, deepest * cosine - offset)
-    for plane in range(plane_count):
+    # One call of ``cut``, which compilers inline: at the two depths, and at the other planes.
+    for number in range(-2, plane_count):
+        factors = -normal
+        distance = offset - shallowest * cosine
+        if number == -2:
+            if least >= shallowest:
+                continue
+        elif number == -1:
+            if largest <= deepest:
+                continue
+            factors = normal
+            distance = deepest * cosine - offset
+        else:
+            if number == exit or exits[number, 0] >= largest:
+                continue
+            # The column does not cross the other plane before the exit: its end is inside.
+            other_normal = plane_normal(planes, number)
+            ratio = wp.dot(other_normal, face.direction) / cosine
+            factors = ratio * normal - other_normal
+            distance = planes[number, 3] - ratio * offset
+        polygon = cut(corners, polygon, factors, distance)
         if polygon.count == 0:
             return polygon
-        if plane != exit and exits[plane, 0] < largest:
-            # The column does not cross the other plane before the exit: its end is inside.
-            other_normal = plane_normal(planes, plane)
-            ratio = wp.dot(other_normal, face.direction) / cosine
-            polygon = cut(corners, polygon, ratio * normal - other_normal, planes[plane, 3] - ratio * offset)
     return polygon
 
 

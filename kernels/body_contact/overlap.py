@@ -30,6 +30,7 @@ from warpcontact.kernels.body_contact.convex_columns import (
     store_planes,
 )
 from warpcontact.kernels.body_contact.face_trees import (
+    Leaf,
     distance_to_surface,
     is_inside_solid,
     next_leaf_in_box,
@@ -182,41 +183,45 @@ def overlap_of_face(
     radius = double(0.5) * wp.length(frame.upper - frame.lower)
     to_other = wp.transpose(pose.rotation)
     position = to_other * (position_on_face(frame, middle[0], middle[1]) - pose.origin)
-    distance = distance_to_surface(pending, bottom, geometries, other, position, radius)
-    if distance >= radius:
-        direction = -(to_other * frame.normal)
-        if is_inside_solid(pending, bottom, geometries, other, position, direction):
-            polygon = whole_face(corners, frame)
-            result.area = polygon_area(corners, polygon, DOWN)
-            result.least = double(0.0)
-            distance = distance_to_surface(pending, bottom, geometries, other, position, INFINITE)
-            if distance + radius > deepest:
-                result.depth = deepest_of(
-                    corners, pending, bottom, geometries, frame, other, pose, polygon, True, deepest
-                )
+    distance = distance_to_surface(pending, bottom, geometries, other, position, INFINITE)
+    is_whole = distance >= radius
+    if is_whole and not is_inside_solid(pending, bottom, geometries, other, position, -(to_other * frame.normal)):
         return result
     to_face = pose_in_face(frame)
     box = columns_box(frame, other, INFINITE)
     top = start_traversal(pending, bottom, other)
     while top > bottom:
-        leaf = next_leaf_in_box(pending, bottom, top, geometries, other, to_face, box)
+        leaf = Leaf()
+        if is_whole:
+            # One polygon, the whole face.
+            leaf.end_face = 1
+            leaf.top = bottom
+        else:
+            leaf = next_leaf_in_box(pending, bottom, top, geometries, other, to_face, box)
         top = leaf.top
         for other_face in range(leaf.first_face, leaf.end_face):
-            leaves = is_exit(geometries, frame, other_face)
-            shallowest = double(0.0)
-            if not leaves:
-                shallowest = -ramp_height(other)
-            polygon = column_polygon(corners, geometries, frame, other, other_face, shallowest, INFINITE)
+            polygon = Polygon()
+            leaves = is_whole
+            if is_whole:
+                polygon = whole_face(corners, frame)
+            else:
+                leaves = is_exit(geometries, frame, other_face)
+                shallowest = double(0.0)
+                if not leaves:
+                    shallowest = -ramp_height(other)
+                polygon = column_polygon(corners, geometries, frame, other, other_face, shallowest, INFINITE)
             if polygon.count == 0:
                 continue
+            area = polygon_area(corners, polygon, DOWN)
             if leaves:
-                result.area += polygon_area(corners, polygon, DOWN)
+                result.area += area
                 if distance + radius > result.depth:
                     result.depth = deepest_of(
-                        corners, pending, top, geometries, frame, other, pose, polygon, False, result.depth
+                        corners, pending, top, geometries, frame, other, pose, polygon, is_whole, result.depth
                     )
             else:
-                result.area -= polygon.weight * polygon_area(corners, polygon, DOWN)
+                result.area -= polygon.weight * area
+            # 0 for the whole face, whose depths are not known.
             for i in range(polygon.count):
                 result.least = wp.min(result.least, corner(corners, polygon, i)[2])
     return result
