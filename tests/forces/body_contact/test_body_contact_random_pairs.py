@@ -17,7 +17,7 @@ SHAPES = {
     "cone": lambda: trimesh.creation.cone(0.7, 1.1, sections=16),
     "capsule": lambda: trimesh.creation.capsule(1.0, 0.5, count=(10, 10)),
 }
-GIVEN = ("angle_block.STL", "fandisk.obj", "featuretype.STL", "idler_riser.STL", "20mm-xyz-cube.stl")
+GIVEN = ("angle_block.STL", "idler_riser.STL", "20mm-xyz-cube.stl")
 
 # The reference counts parts of its subdivision as wholly inside or outside. Its depth is exact within the size of a part.
 TOLERANCE = (0.02, 0.01, 0.004, 0.02)
@@ -108,7 +108,7 @@ def test_reference_of_random_pairs_converges_to_their_force(seed, shared, times,
     meshes = {name: unit_mesh(make()) for name, make in SHAPES.items()}
     for name in GIVEN:
         meshes[name] = unit_mesh(trimesh.load(shared / "data" / "meshes" / name, force="mesh"))
-    found = check_pairs(meshes, 10 + seed, 10 * times, [0.008, 0.004, 0.002], device)
+    found = check_pairs(meshes, 10 + seed, 10 * times, [0.016, 0.008, 0.004], device)
     # Halving the parts halves the difference at least on average over the pairs.
     mean = found.mean(axis=0)
     assert (mean[2] <= 0.6 * mean[0]).all(), mean
