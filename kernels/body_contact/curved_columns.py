@@ -25,6 +25,8 @@ from warpcontact.kernels.body_contact.solids import RelativePose
 double = wp.float64
 vec3d = wp.vec3d
 
+# Height of the tip of a cone above a half-space, relative to its height, up to which it affects columns.
+TIP_REACH = wp.constant(double(0.25))
 # Columns on faces of the polyhedron, on the curved surface, and from here on on the flat ends of the curved solid.
 ON_FACE = 0
 ON_CURVED_SURFACE = 1
@@ -78,8 +80,8 @@ def region_of(flags: int, scale: vec3d, kind: int, number: int, section: Section
         # On a half-space, columns enter and leave each part of a capsule. On a face, they run to the end of the capsule.
         if depth == double(wp.inf):
             region.end_count = 2
-            # Also if it is above the plane: columns enter the solid around it.
-            region.has_tip = (flags & CONE) != 0
+            # Also if it is not far above the plane: columns enter the solid around it.
+            region.has_tip = (flags & CONE) != 0 and section.tip_height < TIP_REACH * scale[2]
         elif (flags & CAPSULE) == 0:
             region.end_count = 1
         if flags & ELLIPSOID:

@@ -25,7 +25,8 @@ from warpcontact.kernels.body_contact.curved_columns import (
 )
 from warpcontact.kernels.body_contact.curved_overlap import box_of_curved, curved_overlap_of
 from warpcontact.kernels.body_contact.curved_sections import (
-    INTERVAL_POINTS,
+    FEW_POINTS,
+    MANY_POINTS,
     MAX_BREAKS,
     MAX_LIMITS,
     find_breaks,
@@ -238,6 +239,10 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
                     for kind in range(kind_count):
                         if kind == ON_FACE and overlap.share == double(0.0):
                             continue
+                        is_deep = wp.bool(False)
+                        point_count = wp.int32(MANY_POINTS)
+                        if kind != ON_FACE:
+                            point_count = FEW_POINTS
                         for number_of_region in range(region_count(flags, kind)):
                             region = region_of(flags, scale, kind, number_of_region, section, depth_of_weights)
                             polygon = polygon_of_region(
@@ -254,8 +259,8 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
                                 middle = double(0.5) * (breaks[panel, 0] + breaks[panel + 1, 0])
                                 if find_limits(limits, section, region, middle, corners, polygon) == 0:
                                     continue
-                                for i in range(panel_point_count(breaks, panel)):
-                                    u, u_weight = panel_point(breaks, panel, i, width)
+                                for i in range(panel_point_count(breaks, panel, point_count)):
+                                    u, u_weight = panel_point(breaks, panel, i, point_count, width)
                                     limit_count = find_limits(limits, section, region, u, corners, polygon)
                                     if limit_count == 0:
                                         continue
@@ -263,11 +268,25 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
                                     if kind == ON_FACE:
                                         steep = steepness(section, region.profile, u, limits, limit_count)
                                     # On a half-space, twice: down to the exit, and to the entry.
-                                    samples = (limit_count - 1) * INTERVAL_POINTS
+                                    samples = (limit_count - 1) * point_count
                                     for sample in range(wp.where(half_space, 2 * samples, samples)):
                                         j = sample % samples
+                                        if kind == ON_CURVED_SURFACE and j % point_count == 0:
+                                            # Intervals are divided at depths from which columns have no weight.
+                                            between = double(0.5) * (
+                                                limits[j // point_count] + limits[j // point_count + 1]
+                                            )
+                                            position = position_in_section(section, u, between)
+                                            is_deep = (
+                                                sheet_point(
+                                                    flags, scale, 0, to_curved * (position - curved_pose.origin)
+                                                ).depth
+                                                >= NO_WEIGHT * overlap.depth
+                                            )
+                                        if is_deep:
+                                            continue
                                         v, v_weight = interval_point(
-                                            limits, j // INTERVAL_POINTS, j % INTERVAL_POINTS, steep
+                                            limits, j // point_count, j % point_count, point_count, steep
                                         )
                                         area = section.area * u_weight * v_weight
                                         position = position_in_section(section, u, v)

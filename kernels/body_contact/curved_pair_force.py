@@ -126,7 +126,7 @@ def curved_pair_forces(contact_model: ContactModel, real: type, per_area: bool, 
                 plane = common_plane(solids_of_pair)
             if plane.is_found:
                 contact_status = CONTACT
-                if plane.depth > setting.max_depth:
+                if plane.largest_depth > setting.max_depth:
                     contact_status = WRONG_SIDE
 
             sums = ColumnSums()
@@ -141,9 +141,10 @@ def curved_pair_forces(contact_model: ContactModel, real: type, per_area: bool, 
             if wp.static(has_patches):
                 column.patch = patch_of(normals, pair.to_axes * column.normal)
             unit_area = ANGLE_STEP * wp.length(plane.u_axis) * wp.length(plane.v_axis)
+            limit = double(1.0)
             for number_of_direction in range(directions):
                 direction = direction_of(plane, number_of_direction)
-                limit = boundary_distance(solids_of_pair, plane, direction)
+                limit = boundary_distance(solids_of_pair, plane, direction, limit)
                 for i in range(RADIAL_POINTS):
                     base = plane.center + (limit * RADII[i]) * direction
                     interval = common_interval(solids_of_pair, base, plane.normal)
@@ -158,7 +159,7 @@ def curved_pair_forces(contact_model: ContactModel, real: type, per_area: bool, 
                         body_contacts, sums, normals, patch_rows,
                     )  # fmt: skip
             store_result(
-                state, env, step[env, 0], pair, contact_status, plane.depth, double(0.5), setting, coefficients,
+                state, env, step[env, 0], pair, contact_status, plane.largest_depth, double(0.5), setting, coefficients,
                 history_in, history_out, patches_out, body_contacts, ends, first_end + 2 * number, sums, patch_rows,
             )  # fmt: skip
 

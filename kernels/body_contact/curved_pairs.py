@@ -14,7 +14,9 @@ import math
 import numpy as np
 import warp as wp
 from warpcontact.kernels.body_contact.curved_solids import (
+    CONE,
     ELLIPSOID,
+    TINY,
     Profile,
     interval_of_quadratic,
     part_count,
@@ -47,10 +49,10 @@ ANGLE_STEP = wp.constant(double(2.0 * math.pi / DIRECTIONS))
 CORE_STEPS = 12
 SEARCH_STEPS = 250
 # Passes that fit the coordinates to the region, before that which integrates.
-FITS = 3
-BOUNDARY_STEPS = 60
+FITS = 2
+BOUNDARY_STEPS = 80
 # Length of the bracket of a boundary point, relative to its distance from the center, at which the search ends.
-BOUNDARY_ERROR = wp.constant(double(1.0e-14))
+BOUNDARY_ERROR = wp.constant(double(1.0e-11))
 # Least ratio of the width of a region to its length.
 LEAST_ASPECT = wp.constant(double(1.0e-3))
 
@@ -70,7 +72,8 @@ class CommonPlane:
     """Center of the overlap of two solids and axes of the common plane."""
 
     is_found: wp.bool  # whether there is an overlap
-    depth: double  # length of the longest column [m]
+    depth: double  # length of the column at the center [m]
+    largest_depth: double  # of the columns on the region [m]
     center: vec3d  # in the frame of the second solid [m]
     normal: vec3d  # unit, out of the second solid
     u_axis: vec3d  # along the region; its length is the unit of the polar coordinates [m]
@@ -147,7 +150,13 @@ def mean_normal(flags: int, scale: vec3d, position: vec3d):
         ratio = double(1.0)
         if wp.abs(point.depth) > nearest:
             ratio = nearest / wp.abs(point.depth)
-        total += (ratio * ratio * ratio * ratio) * point.normal
+        normal = point.normal
+        if (flags & CONE) != 0 and sheet == 0:
+            # Next to the tip, the mean of all directions around the axis.
+            squared = position[0] * position[0] + position[1] * position[1]
+            around = wp.sqrt(squared / (squared + point.depth * point.depth + TINY))
+            normal = vec3d(around * normal[0], around * normal[1], normal[2])
+        total += (ratio * ratio * ratio * ratio) * normal
     return wp.normalize(total)
 
 
@@ -255,21 +264,25 @@ def center_near(solid: SolidGeometry, position: vec3d):
 
 
 @wp.func
-def boundary_distance(pair: CurvedPair, plane: CommonPlane, direction: vec3d):
-    """Returns the distance from the center to the boundary of the region along a direction, in units of its length."""
+def boundary_distance(pair: CurvedPair, plane: CommonPlane, direction: vec3d, guess: double):
+    """Returns the distance from the center to the boundary of the region along a direction, in units of its length.
+
+    Args:
+        pair: The solids.
+        plane: Their common plane; its center is in the overlap.
+        direction: The direction [m].
+        guess: Estimate of the distance, positive.
+    """
     inside = double(0.0)
-    start = common_interval(pair, plane.center, plane.normal)
-    value_inside = start[1] - start[0]
-    outside = double(2.0) * pair.size / wp.length(direction)
+    value_inside = plane.depth
+    outside = double(wp.inf)
     value_outside = -double(wp.inf)
-    distance = double(1.0)
+    distance = guess
     last_side = wp.int32(0)
     for _step in range(BOUNDARY_STEPS):
-        if distance <= inside or distance >= outside:
-            distance = double(0.5) * (inside + outside)
         interval = common_interval(pair, plane.center + distance * direction, plane.normal)
         value = interval[1] - interval[0]
-        # Of an end that remains twice, half of the value is taken (Illinois method).
+        # The Illinois method: half of the value of an end that remains twice.
         if value > double(0.0):
             inside = distance
             value_inside = value
@@ -282,11 +295,16 @@ def boundary_distance(pair: CurvedPair, plane: CommonPlane, direction: vec3d):
             if last_side == -1:
                 value_inside = double(0.5) * value_inside
             last_side = -1
+        if outside == double(wp.inf):
+            distance = double(2.0) * inside
+            continue
         if outside - inside <= BOUNDARY_ERROR * outside:
             break
         distance = double(0.5) * (inside + outside)
         if value_outside > -double(wp.inf):
             distance = inside + (outside - inside) * value_inside / (value_inside - value_outside)
+            if distance <= inside or distance >= outside:
+                distance = double(0.5) * (inside + outside)
     return inside
 
 
@@ -321,8 +339,29 @@ def start_axes(pair: CurvedPair, plane: CommonPlane, first_axis: vec3d, second_a
         if wp.abs(n[0]) > double(0.7):
             helper = vec3d(double(0.0), double(1.0), double(0.0))
         along = wp.cross(n, helper)
-    plane.u_axis = wp.normalize(along)
+    # The size of the solids as first estimate.
+    plane.u_axis = (double(0.1) * pair.size) * wp.normalize(along)
     plane.v_axis = wp.cross(n, plane.u_axis)
+    return plane
+
+
+@wp.func
+def with_extents(pair: CurvedPair, plane: CommonPlane):
+    """Returns the plane with the center in the middle of the region along both axes, and their lengths those to its boundary."""
+    for number in range(2):
+        axis = plane.v_axis
+        if number == 1:
+            axis = plane.u_axis
+        forward = boundary_distance(pair, plane, axis, double(1.0))
+        backward = boundary_distance(pair, plane, -axis, wp.max(forward, double(1.0e-9)))
+        plane.center += (double(0.5) * (forward - backward)) * axis
+        interval = common_interval(pair, plane.center, plane.normal)
+        plane.depth = interval[1] - interval[0]
+        axis = (double(0.5) * (forward + backward)) * axis
+        if number == 0:
+            plane.v_axis = axis
+        else:
+            plane.u_axis = axis
     return plane
 
 
@@ -336,9 +375,11 @@ def fitted_plane(pair: CurvedPair, plane: CommonPlane):
     area = double(0.0)
     mean = wp.vec2d()
     second = vec3d()
-    for number in range(DIRECTIONS):
+    limit = double(1.0)
+    for half_number in range(DIRECTIONS // 2):
+        number = 2 * half_number
         direction = direction_of(plane, number)
-        limit = boundary_distance(pair, plane, direction)
+        limit = boundary_distance(pair, plane, direction, limit)
         angle = ANGLE_STEP * double(number)
         unit = wp.vec2d(wp.cos(angle), wp.sin(angle))
         area += limit * limit / double(2.0)
@@ -366,7 +407,8 @@ def fitted_plane(pair: CurvedPair, plane: CommonPlane):
     result.center = moment / volume
     result.normal = normal_at(pair, result.center, plane.normal)
     interval = common_interval(pair, result.center, result.normal)
-    result.depth = wp.max(depth, interval[1] - interval[0])
+    result.depth = interval[1] - interval[0]
+    result.largest_depth = wp.max(depth, result.depth)
     n = result.normal
     u = wp.normalize(plane.u_axis - wp.dot(plane.u_axis, n) * n)
     v = wp.cross(n, u)
@@ -395,9 +437,13 @@ def common_plane(pair: CurvedPair):
         return plane
     plane.center = point
     plane.normal = normal_at(pair, point, direction)
+    interval = common_interval(pair, plane.center, plane.normal)
+    plane.depth = interval[1] - interval[0]
     identity = wp.identity(n=3, dtype=double)
     plane = start_axes(pair, plane, axis_of(pair.first, pair.pose.rotation), axis_of(pair.second, identity))
-    plane.is_found = True
+    plane.is_found = plane.depth > double(0.0)
+    if plane.is_found:
+        plane = with_extents(pair, plane)
     for _fit in range(FITS):
         if plane.is_found:
             plane = fitted_plane(pair, plane)

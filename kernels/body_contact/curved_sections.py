@@ -29,31 +29,35 @@ from warpcontact.kernels.body_contact.polygons import Polygon, corner
 double = wp.float64
 vec3d = wp.vec3d
 
-#: Largest number of points of a panel.
-PANEL_POINTS = 5
+#: Largest number of points of a panel, and points of an interval.
+MANY_POINTS = 5
 #: Points of a panel on a whole ellipse.
 WHOLE_POINTS = 4
-#: Points of each interval.
-INTERVAL_POINTS = 5
+#: Points of a panel or interval for columns on the curved solid, most of which have no weight.
+FEW_POINTS = 4
 #: Length of the array of breaks.
 MAX_BREAKS = 64
 #: Length of the array of limits.
 MAX_LIMITS = 10
 
-# Gauss–Legendre rule on −1…1.
-_vector5 = wp.types.vector(length=5, dtype=double)
-GAUSS, GAUSS_WEIGHT = (wp.constant(_vector5(*one)) for one in np.polynomial.legendre.leggauss(5))
+# Gauss–Legendre rules on −1…1.
+_vector5 = wp.types.vector(length=MANY_POINTS, dtype=double)
+GAUSS, GAUSS_WEIGHT = (wp.constant(_vector5(*one)) for one in np.polynomial.legendre.leggauss(MANY_POINTS))
+_vector4 = wp.types.vector(length=FEW_POINTS, dtype=double)
+FEW, FEW_WEIGHT = (wp.constant(_vector4(*one)) for one in np.polynomial.legendre.leggauss(FEW_POINTS))
 # Gauss–Chebyshev rule of the second kind on −1…1, for functions with the factor √(1 − x²), which the weights do not include.
-_vector4 = wp.types.vector(length=WHOLE_POINTS, dtype=double)
+_whole_vector = wp.types.vector(length=WHOLE_POINTS, dtype=double)
 _ANGLES = [math.pi * (i + 1) / (WHOLE_POINTS + 1) for i in range(WHOLE_POINTS)]
-WHOLE = wp.constant(_vector4(*(-math.cos(one) for one in _ANGLES)))
-WHOLE_WEIGHT = wp.constant(_vector4(*(math.pi / (WHOLE_POINTS + 1) * math.sin(one) for one in _ANGLES)))
+WHOLE = wp.constant(_whole_vector(*(-math.cos(one) for one in _ANGLES)))
+WHOLE_WEIGHT = wp.constant(_whole_vector(*(math.pi / (WHOLE_POINTS + 1) * math.sin(one) for one in _ANGLES)))
 # Kinds of breaks: others, where the width of the region may be 0, and where another width or depth has a square root.
 REGULAR = wp.constant(double(0.0))
 CLOSED = wp.constant(double(1.0))
 INNER = wp.constant(double(2.0))
 # Width of a panel relative to the largest coordinate below which it has no points.
 NARROW = wp.constant(double(1.0e-14))
+# Distance of a limit from the boundary, relative to the width, below which it does not divide an interval.
+NARROW_INTERVAL = wp.constant(double(1.0e-9))
 # Square of the width at the end of a panel, relative to that in its middle, below which it is 0.
 NO_WIDTH = wp.constant(double(1.0e-9))
 # Largest part of an ellipse in a panel, as an angle: 108°.
@@ -64,7 +68,7 @@ LARGE = wp.constant(double(1.0e8))
 
 @wp.struct
 class Region:
-    """What is integrated on a plane."""
+    """A region of a plane, over which columns are integrated."""
 
     profile: Profile  # of the set whose section or shadow is integrated
     end_count: wp.int32  # ends of the profile at which columns leave (1), or leave and enter (2)
@@ -278,13 +282,14 @@ def region_width_squared(section: Section, profile: Profile, u: double, is_secti
 @wp.func
 def add_limit(limits: wp.array(dtype=double), count: int, v: double):
     """Adds ±v to the sorted limits if they are inside the interval of the first and last, and returns their number."""
+    margin = NARROW_INTERVAL * (limits[count - 1] - limits[0])
     for side in range(2):
         value = v
         if side == 1:
             value = -v
             if v == double(0.0):
                 break
-        if value > limits[0] and value < limits[count - 1] and count < MAX_LIMITS:
+        if value > limits[0] + margin and value < limits[count - 1] - margin and count < MAX_LIMITS:
             i = count
             while limits[i - 1] > value:
                 limits[i] = limits[i - 1]
@@ -360,21 +365,30 @@ def find_limits(
 
 
 @wp.func
-def panel_point_count(breaks: wp.array2d(dtype=double), panel: int):
-    """Returns the number of points of the panel between two breaks."""
+def panel_point_count(breaks: wp.array2d(dtype=double), panel: int, count: int):
+    """Returns the number of points of the panel between two breaks: ``count``, but on a whole ellipse."""
     if breaks[panel, 2] > double(0.0):
         return wp.int32(WHOLE_POINTS)
-    return wp.int32(PANEL_POINTS)
+    return count
 
 
 @wp.func
-def panel_point(breaks: wp.array2d(dtype=double), panel: int, number: int, width: vec3d):
+def gauss_point(number: int, count: int):
+    """Returns a point of the Gauss–Legendre rule of ``MANY_POINTS`` or ``FEW_POINTS`` points, and its weight."""
+    if count == FEW_POINTS:
+        return FEW[number], FEW_WEIGHT[number]
+    return GAUSS[number], GAUSS_WEIGHT[number]
+
+
+@wp.func
+def panel_point(breaks: wp.array2d(dtype=double), panel: int, number: int, count: int, width: vec3d):
     """Returns u of a point of the panel between two breaks, and its weight in the integral over u.
 
     Args:
         breaks: The breaks.
         panel: Number of the first one.
         number: Number of the point.
+        count: Number of points, unless the panel is a whole ellipse.
         width: Coefficients of v² at the boundary of the section in the plane. The coordinates of the rule are such that this
             boundary is smooth in them.
     """
@@ -384,8 +398,9 @@ def panel_point(breaks: wp.array2d(dtype=double), panel: int, number: int, width
     if breaks[panel, 2] > double(0.0):
         return start + half * (double(1.0) + WHOLE[number]), half * WHOLE_WEIGHT[number]
     first, last, is_ellipse = ellipse_angles(width, start, end)
-    s = double(0.5) * (double(1.0) + GAUSS[number])
-    weight = double(0.5) * GAUSS_WEIGHT[number]
+    gauss, gauss_weight = gauss_point(number, count)
+    s = double(0.5) * (double(1.0) + gauss)
+    weight = double(0.5) * gauss_weight
     if breaks[panel, 1] == INNER or (breaks[panel, 1] == CLOSED and not is_ellipse):
         weight = weight * double(2.0) * s
         s = s * s
@@ -412,7 +427,7 @@ def steepness(section: Section, profile: Profile, u: double, limits: wp.array(dt
 
 
 @wp.func
-def interval_point(limits: wp.array(dtype=double), interval: int, number: int, steep: double):
+def interval_point(limits: wp.array(dtype=double), interval: int, number: int, count: int, steep: double):
     """Returns v of a point of the interval between two limits, and its weight in the integral over v.
 
     Next to a steep boundary, the depth of columns contains √(1 − x²), which is smooth in s with x = (3 s − s³)/2. Quadratic
@@ -420,10 +435,10 @@ def interval_point(limits: wp.array(dtype=double), interval: int, number: int, s
     """
     half = double(0.5) * (limits[interval + 1] - limits[interval])
     middle = double(0.5) * (limits[interval + 1] + limits[interval])
-    s = GAUSS[number]
+    s, weight = gauss_point(number, count)
     x = s + double(0.5) * steep * (s - s * s * s)
     slope = double(1.0) + double(0.5) * steep * (double(1.0) - double(3.0) * s * s)
-    return middle + half * x, half * slope * GAUSS_WEIGHT[number]
+    return middle + half * x, half * slope * weight
 
 
 @wp.func

@@ -62,6 +62,7 @@ class Section:
     z_t: double
     has_tip: wp.bool  # whether the tip of a cone is below the plane
     u_tip: double  # u of the tip of a cone
+    tip_height: double  # above the plane [m]
 
 
 @wp.func
@@ -199,7 +200,8 @@ def section_of(flags: int, scale: vec3d, pose: RelativePose, origin: vec3d, in_p
     section.z_0 = height * section.z_t
     if flags & CONE:
         tip = pose.origin + scale[2] * axis
-        section.has_tip = wp.dot(normal, tip - origin) < double(0.0)
+        section.tip_height = wp.dot(normal, tip - origin)
+        section.has_tip = section.tip_height < double(0.0)
         section.u_tip = wp.dot(u, tip - section.center)
     return section
 
