@@ -25,10 +25,9 @@ from warpcontact.kernels.body_contact.curved_columns import (
 )
 from warpcontact.kernels.body_contact.curved_overlap import box_of_curved, curved_overlap_of
 from warpcontact.kernels.body_contact.curved_sections import (
-    FEW_POINTS,
-    MANY_POINTS,
     MAX_BREAKS,
     MAX_LIMITS,
+    POINTS,
     find_breaks,
     find_limits,
     interval_point,
@@ -240,9 +239,6 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
                         if kind == ON_FACE and overlap.share == double(0.0):
                             continue
                         is_deep = wp.bool(False)
-                        point_count = wp.int32(MANY_POINTS)
-                        if kind != ON_FACE:
-                            point_count = FEW_POINTS
                         for number_of_region in range(region_count(flags, kind)):
                             region = region_of(flags, scale, kind, number_of_region, section, depth_of_weights)
                             polygon = polygon_of_region(
@@ -259,8 +255,8 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
                                 middle = double(0.5) * (breaks[panel, 0] + breaks[panel + 1, 0])
                                 if find_limits(limits, section, region, middle, corners, polygon) == 0:
                                     continue
-                                for i in range(panel_point_count(breaks, panel, point_count)):
-                                    u, u_weight = panel_point(breaks, panel, i, point_count, width)
+                                for i in range(panel_point_count(breaks, panel)):
+                                    u, u_weight = panel_point(breaks, panel, i, width)
                                     limit_count = find_limits(limits, section, region, u, corners, polygon)
                                     if limit_count == 0:
                                         continue
@@ -268,14 +264,12 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
                                     if kind == ON_FACE:
                                         steep = steepness(section, region.profile, u, limits, limit_count)
                                     # On a half-space, twice: down to the exit, and to the entry.
-                                    samples = (limit_count - 1) * point_count
+                                    samples = (limit_count - 1) * POINTS
                                     for sample in range(wp.where(half_space, 2 * samples, samples)):
                                         j = sample % samples
-                                        if kind == ON_CURVED_SURFACE and j % point_count == 0:
+                                        if region.inner_count == 2 and j % POINTS == 0:
                                             # Intervals are divided at depths from which columns have no weight.
-                                            between = double(0.5) * (
-                                                limits[j // point_count] + limits[j // point_count + 1]
-                                            )
+                                            between = double(0.5) * (limits[j // POINTS] + limits[j // POINTS + 1])
                                             position = position_in_section(section, u, between)
                                             is_deep = (
                                                 sheet_point(
@@ -285,9 +279,7 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
                                             )
                                         if is_deep:
                                             continue
-                                        v, v_weight = interval_point(
-                                            limits, j // point_count, j % point_count, point_count, steep
-                                        )
+                                        v, v_weight = interval_point(limits, j // POINTS, j % POINTS, steep)
                                         area = section.area * u_weight * v_weight
                                         position = position_in_section(section, u, v)
                                         column = Column()

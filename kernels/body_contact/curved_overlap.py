@@ -9,7 +9,7 @@ import warp as wp
 from warpcontact.kernels.body_contact.columns import FaceFrame, face_frame, is_apart, position_on_face
 from warpcontact.kernels.body_contact.curved_columns import ON_FACE, region_of, store_face
 from warpcontact.kernels.body_contact.curved_sections import (
-    MANY_POINTS,
+    POINTS,
     find_breaks,
     find_limits,
     interval_point,
@@ -381,8 +381,8 @@ def curved_overlap_of(
                     middle = double(0.5) * (breaks[panel, 0] + breaks[panel + 1, 0])
                     if find_limits(limits, section, region, middle, corners, polygon) == 0:
                         continue
-                    for i in range(panel_point_count(breaks, panel, MANY_POINTS)):
-                        u, u_weight = panel_point(breaks, panel, i, MANY_POINTS, width)
+                    for i in range(panel_point_count(breaks, panel)):
+                        u, u_weight = panel_point(breaks, panel, i, width)
                         limit_count = find_limits(limits, section, region, u, corners, polygon)
                         if limit_count == 0:
                             continue
@@ -396,10 +396,8 @@ def curved_overlap_of(
                             curved_area -= u_weight * seen_from_axis(flags, scale, section, u, lower, upper)
                             continue
                         steep = steepness(section, region.profile, u, limits, limit_count)
-                        for j in range((limit_count - 1) * MANY_POINTS):
-                            v, v_weight = interval_point(
-                                limits, j // MANY_POINTS, j % MANY_POINTS, MANY_POINTS, steep
-                            )
+                        for j in range((limit_count - 1) * POINTS):
+                            v, v_weight = interval_point(limits, j // POINTS, j % POINTS, steep)
                             weight = section.area * u_weight * v_weight
                             position = position_in_section(section, u, v)
                             position_c = to_curved * (position - pose.origin)

@@ -29,22 +29,18 @@ from warpcontact.kernels.body_contact.polygons import Polygon, corner
 double = wp.float64
 vec3d = wp.vec3d
 
-#: Largest number of points of a panel, and points of an interval.
-MANY_POINTS = 5
+#: Points of a panel, unless it is a whole ellipse, and of an interval.
+POINTS = 5
 #: Points of a panel on a whole ellipse.
 WHOLE_POINTS = 4
-#: Points of a panel or interval for columns on the curved solid, most of which have no weight.
-FEW_POINTS = 4
 #: Length of the array of breaks.
 MAX_BREAKS = 64
 #: Length of the array of limits.
 MAX_LIMITS = 10
 
-# Gauss–Legendre rules on −1…1.
-_vector5 = wp.types.vector(length=MANY_POINTS, dtype=double)
-GAUSS, GAUSS_WEIGHT = (wp.constant(_vector5(*one)) for one in np.polynomial.legendre.leggauss(MANY_POINTS))
-_vector4 = wp.types.vector(length=FEW_POINTS, dtype=double)
-FEW, FEW_WEIGHT = (wp.constant(_vector4(*one)) for one in np.polynomial.legendre.leggauss(FEW_POINTS))
+# Gauss–Legendre rule on −1…1.
+_vector = wp.types.vector(length=POINTS, dtype=double)
+GAUSS, GAUSS_WEIGHT = (wp.constant(_vector(*one)) for one in np.polynomial.legendre.leggauss(POINTS))
 # Gauss–Chebyshev rule of the second kind on −1…1, for functions with the factor √(1 − x²), which the weights do not include.
 _whole_vector = wp.types.vector(length=WHOLE_POINTS, dtype=double)
 _ANGLES = [math.pi * (i + 1) / (WHOLE_POINTS + 1) for i in range(WHOLE_POINTS)]
@@ -365,30 +361,21 @@ def find_limits(
 
 
 @wp.func
-def panel_point_count(breaks: wp.array2d(dtype=double), panel: int, count: int):
-    """Returns the number of points of the panel between two breaks: ``count``, but on a whole ellipse."""
+def panel_point_count(breaks: wp.array2d(dtype=double), panel: int):
+    """Returns the number of points of the panel between two breaks."""
     if breaks[panel, 2] > double(0.0):
         return wp.int32(WHOLE_POINTS)
-    return count
+    return wp.int32(POINTS)
 
 
 @wp.func
-def gauss_point(number: int, count: int):
-    """Returns a point of the Gauss–Legendre rule of ``MANY_POINTS`` or ``FEW_POINTS`` points, and its weight."""
-    if count == FEW_POINTS:
-        return FEW[number], FEW_WEIGHT[number]
-    return GAUSS[number], GAUSS_WEIGHT[number]
-
-
-@wp.func
-def panel_point(breaks: wp.array2d(dtype=double), panel: int, number: int, count: int, width: vec3d):
+def panel_point(breaks: wp.array2d(dtype=double), panel: int, number: int, width: vec3d):
     """Returns u of a point of the panel between two breaks, and its weight in the integral over u.
 
     Args:
         breaks: The breaks.
         panel: Number of the first one.
         number: Number of the point.
-        count: Number of points, unless the panel is a whole ellipse.
         width: Coefficients of v² at the boundary of the section in the plane. The coordinates of the rule are such that this
             boundary is smooth in them.
     """
@@ -398,9 +385,8 @@ def panel_point(breaks: wp.array2d(dtype=double), panel: int, number: int, count
     if breaks[panel, 2] > double(0.0):
         return start + half * (double(1.0) + WHOLE[number]), half * WHOLE_WEIGHT[number]
     first, last, is_ellipse = ellipse_angles(width, start, end)
-    gauss, gauss_weight = gauss_point(number, count)
-    s = double(0.5) * (double(1.0) + gauss)
-    weight = double(0.5) * gauss_weight
+    s = double(0.5) * (double(1.0) + GAUSS[number])
+    weight = double(0.5) * GAUSS_WEIGHT[number]
     if breaks[panel, 1] == INNER or (breaks[panel, 1] == CLOSED and not is_ellipse):
         weight = weight * double(2.0) * s
         s = s * s
@@ -427,7 +413,7 @@ def steepness(section: Section, profile: Profile, u: double, limits: wp.array(dt
 
 
 @wp.func
-def interval_point(limits: wp.array(dtype=double), interval: int, number: int, count: int, steep: double):
+def interval_point(limits: wp.array(dtype=double), interval: int, number: int, steep: double):
     """Returns v of a point of the interval between two limits, and its weight in the integral over v.
 
     Next to a steep boundary, the depth of columns contains √(1 − x²), which is smooth in s with x = (3 s − s³)/2. Quadratic
@@ -435,10 +421,10 @@ def interval_point(limits: wp.array(dtype=double), interval: int, number: int, c
     """
     half = double(0.5) * (limits[interval + 1] - limits[interval])
     middle = double(0.5) * (limits[interval + 1] + limits[interval])
-    s, weight = gauss_point(number, count)
+    s = GAUSS[number]
     x = s + double(0.5) * steep * (s - s * s * s)
     slope = double(1.0) + double(0.5) * steep * (double(1.0) - double(3.0) * s * s)
-    return middle + half * x, half * slope * weight
+    return middle + half * x, half * slope * GAUSS_WEIGHT[number]
 
 
 @wp.func

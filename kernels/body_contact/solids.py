@@ -1,8 +1,8 @@
-"""Solids: polyhedra with convex faces of up to four vertices, and half-spaces, on bodies or the world.
+"""Solids: polyhedra with convex faces of up to four vertices, half-spaces and curved solids, on bodies or the world.
 
 A geometry is a polyhedron in coordinates of its own; a solid is a geometry with a scale and a pose. Faces run
 counter-clockwise as seen from outside. A scale that differs between the axes is allowed for boxes only, whose normals and
-edges it does not turn.
+edges it does not turn. Curved solids (``curved_solids.py``) have no faces, and their sizes as scale.
 """
 
 import functools
@@ -38,7 +38,7 @@ class Geometries:
     node_lower: wp.array(dtype=wp.vec3d)  # [node] [unit of the geometry]
     node_upper: wp.array(dtype=wp.vec3d)
     root: wp.array(dtype=wp.int32)  # [geometry] node
-    flags: wp.array(dtype=wp.int32)  # [geometry] HALF_SPACE, HAS_BOUNDARY, FEW_PLANES
+    flags: wp.array(dtype=wp.int32)  # [geometry] HALF_SPACE, HAS_BOUNDARY, FEW_PLANES; kind of a curved solid
     center: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]
     half_extents: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]
 

@@ -161,9 +161,10 @@ class BodyContacts:
     ) -> BodyContact:
         """Adds contact of solids over an area: faces, edges and vertices of both carry load.
 
-        Solids are closed meshes, boxes, half-spaces (``wc.shapes.Plane``, second only) and open surfaces (second only). A
-        column stands on each point of a face of one solid inside the other solid, along the normal of the face, and its
-        length is the depth. A law with an omitted ``area`` is the pressure at the depth of each column. The mean of any
+        Solids are closed meshes, boxes, spheres, ellipsoids, cylinders, cones, capsules, half-spaces (``wc.shapes.Plane``,
+        second only) and open surfaces (second only). A column stands on each point of a face of one solid inside the other
+        solid, along the normal of the face, and its length is the depth. Between two curved shapes, columns are along the
+        normal of a common plane. A law with an omitted ``area`` is the pressure at the depth of each column. The mean of any
         other law over the area of contact is the normal force. Friction without history acts at each point of the area;
         friction with history has one force and one torque per patch of similar normals.
 
@@ -177,6 +178,7 @@ class BodyContacts:
             exclude: Pairs of surfaces, shapes or bodies that are not in contact, for example the two bodies of a joint.
             reference: Solid on whose faces the columns stand. ``"auto"``: the flatter one, with a continuous transition;
                 ``"first"``, ``"second"``, or ``"average"`` of both. A half-space or open surface is always the reference.
+                Two curved shapes have a common plane instead.
             kappa: The force of a column acts at κ times its length from the second solid.
             max_depth: Maximum depth of a contact [m]. Default: unlimited.
             force_scale: Factor on forces and torques of this contact.

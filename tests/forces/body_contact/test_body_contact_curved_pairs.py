@@ -189,7 +189,7 @@ def test_curved_shapes_come_to_rest(device):
         "standing": (wc.shapes.Cylinder(0.03, 0.05), upright, 0.05),
         "lying": (wc.shapes.Cylinder(0.03, 0.05), LYING, 0.03),
         "capsule": (wc.shapes.Capsule(0.03, 0.04), LYING, 0.03),
-        "cone": (wc.shapes.Cone(0.04, 0.06), upright, 0.0),
+        "cone": (wc.shapes.Cone(0.04, 0.06), upright, 0.015),
         "ball": (wc.shapes.Sphere(0.04), upright, 0.04),
     }
     names = []
@@ -216,11 +216,11 @@ def test_curved_shapes_come_to_rest(device):
                 name=f"{name}_{below}",
             )
             solid = scene.add_shape(body, shape, (0, 0, -0.015 if name == "cone" else 0.0))
-            scene.add_body_contact(solid, support, material(200.0), name=f"touch_{name}_{below}")
+            scene.add_body_contact(solid, support, material(50.0 if name == "ball" else 200.0), name=f"touch_{name}_{below}")
             names.append(f"{name}_{below}")
     model = scene.build(envs=1, device=device, precision="float64")
     sim = wc.Simulation(model, dt=1e-4)
-    sim.step(8_000)
+    sim.step(7_000)
     before = [model.sensor(f"{name}.position")[0] for name in names]
     sim.step(500)
     for name, position in zip(names, before, strict=True):
