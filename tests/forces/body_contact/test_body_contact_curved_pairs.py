@@ -216,7 +216,9 @@ def test_curved_shapes_come_to_rest(device):
                 name=f"{name}_{below}",
             )
             solid = scene.add_shape(body, shape, (0, 0, -0.015 if name == "cone" else 0.0))
-            scene.add_body_contact(solid, support, material(50.0 if name == "ball" else 200.0), name=f"touch_{name}_{below}")
+            scene.add_body_contact(
+                solid, support, material(50.0 if name == "ball" else 200.0), name=f"touch_{name}_{below}"
+            )
             names.append(f"{name}_{below}")
     model = scene.build(envs=1, device=device, precision="float64")
     sim = wc.Simulation(model, dt=1e-4)
@@ -238,7 +240,10 @@ def test_stack_of_cylinders_stays_at_rest(device):
     for i in range(3):
         depth += (3 - i) * MASS * 9.81 / (foundation * np.pi * radius**2)
         body = scene.add_body(
-            mass=MASS, inertia=(1.2e-3, 1.2e-3, 8e-4), position=(0, 0, (i + 0.5) * height - depth), name=f"body_{i}"
+            mass=MASS,
+            inertia=(1.2e-3, 1.2e-3, 8e-4),
+            position=(0, 0, (i + 0.5) * height - depth),
+            name=f"body_{i}",
         )
         solid = scene.add_shape(body, wc.shapes.Cylinder(radius, height / 2))
         scene.add_body_contact(solid, below, material(50.0), name=f"touch_{i}")
