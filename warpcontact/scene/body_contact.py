@@ -218,12 +218,8 @@ class BodyContacts:
             if contact.exclude:
                 reason = "exclude leaves no pair of solids on different bodies"
             raise ValueError(f"{name}: {reason}")
-        for one, other in contact.pairs:
-            if _must_be_second(one):
-                raise ValueError(
-                    f"{name}: {one.name!r} and {other.name!r} are both half-spaces or open surfaces, which have no body "
-                    "contact with each other; exclude leaves out a pair"
-                )
+        for pair in contact.pairs:
+            _check_pair(name, *pair)
         self.body_contacts.append(contact)
         self._elements[name] = contact
         return contact
@@ -266,6 +262,35 @@ class BodyContacts:
         for solid in solids:
             _check_solid(label, solid)
         return solids
+
+
+def unsupported_reason(first: Solid, second: Solid, material: ContactMaterial | None = None) -> str | None:
+    """Returns why ``add_body_contact`` does not accept a pair of solids on different bodies; ``None``: it accepts it.
+
+    Args:
+        first: One of the solids; their order does not matter.
+        second: The other one.
+        material: Contact material; ``None``: only the solids are checked.
+    """
+    name = f"{first.name} and {second.name}"
+    try:
+        for solid in (first, second):
+            _check_solid(name, solid)
+        _check_pair(name, *((second, first) if _must_be_second(first) else (first, second)))
+        if material is not None:
+            _checked_material(name, material)
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+def _check_pair(name: str, first: Solid, second: Solid) -> None:
+    """Raises ``ValueError`` if body contact does not support a pair of solids, each of which it supports."""
+    if _must_be_second(first):
+        raise ValueError(
+            f"{name}: {first.name!r} and {second.name!r} are both half-spaces or open surfaces, which have no body "
+            "contact with each other; exclude leaves out a pair"
+        )
 
 
 def _check_solid(label: str, solid: Solid) -> None:
