@@ -1,5 +1,6 @@
 """Plan of a model on one or several devices, with its memory and that of a simulation."""
 
+import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -8,9 +9,11 @@ from warpcontact.building.model import Model, SplitModel
 from warpcontact.geometry.query_mesh import QueryMeshCache
 from warpcontact.model.build import plan_on_devices
 from warpcontact.model.plan import DeviceModelPlan
+from warpcontact.scene.point_contact_warnings import point_contact_warnings
 from warpcontact.stepping.requirements import stepping_memory
 from warpcontact.storage.memory_estimate import MemoryEstimate, require, total
 from warpcontact.system.devices import split_evenly
+from warpcontact.validation.warning_levels import ContactWarning, caller_stacklevel
 
 if TYPE_CHECKING:
     from warpcontact.building.scene import Scene
@@ -53,7 +56,9 @@ class ModelPlan:
         return model.with_items(stepping_memory(shares, varied=varied, **stepping).items)
 
     def build(self, envs: int) -> Model | SplitModel:
-        """Returns the model of ``envs`` environments. Can be called only once.
+        """Returns the model of ``envs`` environments, and warns of contacts that should be body contacts.
+
+        Can be called only once.
 
         Raises:
             MemoryError: If the model does not fit into memory.
@@ -62,4 +67,6 @@ class ModelPlan:
         # Without graphs, because the simulation decides later whether steps are captured.
         require(lambda count: self.memory(count, capture_graphs=False), envs)
         models = [Model(part, own) for part, own in self.shares(envs)]
+        for sentence in point_contact_warnings(self.parts[0].scene):
+            warnings.warn(ContactWarning(sentence), stacklevel=caller_stacklevel())
         return models[0] if len(models) == 1 else SplitModel(models)

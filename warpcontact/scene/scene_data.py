@@ -400,7 +400,8 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, BodyContacts
         """Adds contact of two surfaces by sample points with area weights.
 
         The points are on the active faces and fixed to their surface. Both bodies get equal and opposite forces at the
-        same point, for any value of ``sides``.
+        same point, for any value of ``sides``. Faces of one surface without points of the other have no force; for solids on
+        solids, use ``add_body_contact``. ``build`` warns of vertices of a closed mesh in contact with a closed mesh.
 
         Args:
             surface_a: From ``add_surface``.

@@ -1,0 +1,70 @@
+"""Warnings about contacts at points that should be body contacts, because they have no force on some faces."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpcontact.kernels.shapes.base import Plane
+from warpcontact.kernels.shapes.revolution import Cone, Cylinder
+from warpcontact.kernels.shapes.rounded_box import RoundedBox
+from warpcontact.scene.body_contact import unsupported_reason
+from warpcontact.scene.elements import Contact, Points, Surface
+from warpcontact.scene.shapes import ShapeContact
+
+if TYPE_CHECKING:
+    from warpcontact.scene.scene_data import SceneData
+
+# Shapes with flat faces, on which bodies rest; boxes with rounded edges have no body contact.
+_FLAT: tuple[type, ...] = (Plane, RoundedBox, Cylinder, Cone)
+# Number of contacts that a warning names.
+_NAMED = 3
+
+
+def point_contact_warnings(scene: "SceneData") -> list[str]:
+    """Returns warnings about contacts of a scene that ``add_body_contact`` should replace.
+
+    These are contacts of the vertices of a closed mesh with another closed mesh, and shape contacts of two solids with
+    flat faces that body contact supports.
+    """
+    found = []
+    vertices = [one.name for one in scene.contacts if _is_of_vertices(one)]
+    if vertices:
+        found.append(
+            f"{_listed(vertices)}: contact of the vertices of a closed mesh with a closed mesh has no force on faces "
+            "without vertices of the other mesh. Two equal boxes fall through each other. Use add_body_contact"
+        )
+    flat = [one.name for one in scene.shape_contacts if _is_of_flat_faces(one)]
+    if flat:
+        found.append(
+            f"{_listed(flat)}: shape contact of two solids with flat faces has one contact point, so that bodies do not "
+            "come to rest on faces. Use add_body_contact"
+        )
+    return found
+
+
+def _is_of_vertices(contact: Contact) -> bool:
+    """Returns whether the points of a contact are the vertices of a closed mesh, and the surface is closed."""
+    return (
+        contact.facing is None
+        and all(mesh.report.closed for mesh in contact.surface.meshes)
+        and _are_vertices(contact.points, contact.points.surface)
+    )
+
+
+def _are_vertices(points: Points, surface: Surface | None) -> bool:
+    if surface is None or len(surface.meshes) > 1 or not surface.mesh.report.closed:
+        return False
+    mesh = surface.mesh
+    return np.array_equal(points.positions, mesh.vertices[np.unique(mesh.welded[mesh.faces])])
+
+
+def _is_of_flat_faces(contact: ShapeContact) -> bool:
+    """Returns whether a shape contact has two flat-faced shapes that body contact supports."""
+    pair = contact.shape, contact.other_shape
+    return all(issubclass(one.kind, _FLAT) for one in pair) and unsupported_reason(*pair, contact.material) is None
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
