@@ -49,3 +49,27 @@ def test_friction_that_makes_steps_unstable_is_reported(factor, device):
     found = wc.Simulation(box_on_box(device, friction), dt=factor * limit).check()
     assert [one for one in found if "friction, CundallStrack" in one] == (found[-1:] if factor > 1 else [])
     assert (factor > 1) == any("unstable" in one for one in found)
+
+
+@pytest.mark.parametrize(
+    ("form", "side"),
+    [
+        (wc.shapes.Cylinder(0.1, 0.3), 0.2 * 0.6),
+        (wc.shapes.Capsule(0.1, 0.2), 0.2 * 0.6),
+        (wc.shapes.Cone(0.3, 0.2), 0.6 * 0.6),
+        (wc.shapes.Ellipsoid((0.1, 0.2, 0.3)), 0.4 * 0.6),
+        (wc.shapes.Sphere(0.1), 0.2 * 0.2),
+    ],
+    ids=["cylinder", "capsule", "cone", "ellipsoid", "sphere"],
+)
+def test_time_step_is_compared_with_the_largest_side_around_a_curved_shape(form, side, device):
+    scene = wc.Scene()
+    body = scene.add_body(mass=MASS, inertia=[0.1] * 3, position=(0, 0, 1.0), name="body")
+    material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=MODULUS))
+    plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
+    scene.add_body_contact(scene.add_shape(body, form), plane, material, name="press")
+    model = scene.build(device=device, precision="float64")
+    duration = np.pi * np.sqrt(MASS / (MODULUS * side))
+    assert wc.Simulation(model, dt=duration / 20.1).check() == []
+    (sentence,) = wc.Simulation(model, dt=duration / 19.9).check()
+    assert f"a contact lasts {duration:.2g} s" in sentence
