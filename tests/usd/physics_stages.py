@@ -39,5 +39,14 @@ def mesh(points=CUBE, indices=SIDES, counts="4,4,4,4,4,4", more=""):
     )
 
 
+def contact_pairs(scene):
+    """Names of the elements of all contacts of two elements, and of all pairs of body contacts."""
+    return [
+        *((one.points.name, one.surface.name) for one in scene.contacts),
+        *((one.shape.name, one.other_shape.name) for one in scene.shape_contacts),
+        *((first.name, second.name) for one in scene.body_contacts for first, second in one.pairs),
+    ]
+
+
 def body(name="body", content="", pose="", apis=BODY):
     return prim("Xform", name, apis, f"{pose}\n{content}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from physics_stages import BODY, COLLIDER, CUBE, SIDES, WEIGHT, body, mesh, moved, prim, stage
+from physics_stages import BODY, COLLIDER, CUBE, SIDES, WEIGHT, body, contact_pairs, mesh, moved, prim, stage
 from pxr import UsdUtils
 from scipy.spatial.transform import Rotation
 
@@ -224,8 +224,7 @@ def test_material_pair_is_averaged_to_law_and_friction(tmp_path):
 
 
 def names(scene):
-    contacts = [(c.points.name, c.surface.name) for c in scene.contacts]
-    return sorted(contacts + [(c.shape.name, c.other_shape.name) for c in scene.shape_contacts])
+    return sorted(contact_pairs(scene))
 
 
 def three(more="", filtered=""):

@@ -9,7 +9,7 @@ import itertools
 import numpy as np
 import pytest
 from newton_stages import BOUND, STAGES, TOUCHING, WITH_MASS, cube, material
-from physics_stages import COLLIDER, body, moved, prim, stage
+from physics_stages import COLLIDER, body, contact_pairs, moved, prim, stage
 from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
@@ -126,7 +126,7 @@ class Both:
             for i, j in itertools.combinations(sorted(names), 2)
             if builder.shape_body[i] != builder.shape_body[j] and (i, j) not in apart
         }
-        ours = {tuple(sorted((c.shape.name, c.other_shape.name))) for c in self.scene.shape_contacts}
+        ours = {tuple(sorted(pair)) for pair in contact_pairs(self.scene)}
         return ours, theirs
 
     def check(self, **options):

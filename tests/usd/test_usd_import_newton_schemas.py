@@ -36,7 +36,7 @@ def floor(kind="Plane", sizes=PLANE, bound="m"):
 def pair(tmp_path, materials, *, one=None, other=None, **options):
     """Contact of a ball of 0.1 m and 3 kg with a floor: its material, and the scene."""
     scene = read(tmp_path, materials + (ball() if one is None else one) + (other or floor()), **options)
-    contacts = [*scene.shape_contacts, *scene.contacts]
+    contacts = [*scene.shape_contacts, *scene.contacts, *scene.body_contacts]
     return contacts[0].material, scene
 
 

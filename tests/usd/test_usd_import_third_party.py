@@ -74,4 +74,4 @@ def test_third_party_box_comes_to_rest_on_its_plate(device):
     sim.step(5000)
     # The penetration is at most g (T/π)² for a contact time T of 0.01 s.
     assert sim.state.body_position.numpy()[0, 0, 2] == pytest.approx(0.1, abs=1.1e-4)
-    assert scene.shape_contacts[0].material.friction.mu_static == pytest.approx(0.5 * (0.78 + 0.5))
+    assert scene.body_contacts[0].material.friction.mu_static == pytest.approx(0.5 * (0.78 + 0.5))

@@ -40,7 +40,7 @@ class Scene(SceneData):
         custom_types: "Iterable[type[Formula] | type[SceneElement]]" = (),
         material: ContactMaterial | None = None,
         contact_time: float = 0.01,
-        samples: int | str = "vertices",
+        samples: int | str | None = None,
         skip_unsupported: bool = False,
         trusted: bool = False,
         limits: "Limits | None" = None,
@@ -59,7 +59,8 @@ class Scene(SceneData):
                 module can be omitted.
             material: Contact material of all contacts of other stages. Default: from the physics materials.
             contact_time: Duration of an impact in other stages, from which the contact stiffness is computed [s].
-            samples: Sampling of meshes in contact with meshes in other stages, see ``add_surface_contact``.
+            samples: Contact of meshes in other stages at sample points, see ``add_surface_contact``. Default: body
+                contact, see ``add_body_contact``.
             skip_unsupported: Whether to skip unsupported prims, such as joints, and list them in
                 ``import_warnings``. Default: they raise an error.
             trusted: Whether to read the file in this process, including referenced files outside of its folder.
@@ -90,6 +91,8 @@ class Scene(SceneData):
         self, envs: int = 1, device: str | Sequence[str] = "auto", precision: str = "float32"
     ) -> "Model | SplitModel":
         """Builds ``envs`` environments of this scene on one or several devices.
+
+        Warns of contacts at points that ``add_body_contact`` should replace, see ``docs/body-contact.md``.
 
         Args:
             envs: Number of environments, at least 1.

@@ -1,7 +1,7 @@
 """Contact materials of imported contacts, from the physics materials of both sides; rules in ``docs/usd.md``."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from math import pi, sqrt
 from typing import Any
 
@@ -108,9 +108,10 @@ class ContactMaterials:
         self.made: dict[tuple[float | None, ...], tuple[ContactMaterial, dict[str, Any]]] = {}
         self._elastic = 0  # number of contacts that use the damping of a material and ignore its restitution
         self._rolling: list[str] = []  # contacts that ignore the rolling friction of a material
+        self._torsion: list[str] = []  # contacts that ignore its torsional friction
 
     def combine(
-        self, label: str, first: Side, second: Side, radius: float | None
+        self, label: str, first: Side, second: Side, radius: float | None, *, over_area: bool = False
     ) -> tuple[ContactMaterial, dict[str, Any]]:
         """Returns the contact material of a contact, and further keyword arguments of the contact.
 
@@ -119,6 +120,7 @@ class ContactMaterials:
             first: One side.
             second: Other side.
             radius: Rolling radius [m]; ``None``: there is none, or it depends on the contact point.
+            over_area: Whether friction acts over the area of contact, which includes torsional friction.
         """
         if self.given is not None:
             return self.given, {}
@@ -127,6 +129,9 @@ class ContactMaterials:
             self._elastic += 1
         if mixed.rolling and radius is None:
             self._rolling.append(label)
+        if mixed.torsion and over_area:
+            self._torsion.append(label)
+            mixed = replace(mixed, torsion=None)
         mass = 1.0 / (1.0 / first.mass + 1.0 / second.mass)
         inertia = 1.0 / (1.0 / first.inertia + 1.0 / second.inertia)
         key = (mass, *astuple(mixed), *((inertia, radius) if mixed.rolling or mixed.torsion else ()))
@@ -146,6 +151,11 @@ class ContactMaterials:
             found.append(
                 f"newton:rollingFriction is ignored in {len(self._rolling)} contacts, such as "
                 f"{self._rolling[0]}: there is no rolling radius, or it depends on the contact point"
+            )
+        if self._torsion:
+            found.append(
+                f"newton:torsionalFriction is ignored in {len(self._torsion)} body contacts, such as "
+                f"{self._torsion[0]}: friction over the area of contact resists spin"
             )
         return found
 

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from warpcontact.kernels import shapes
 from warpcontact.meshes import sample_surface
+from warpcontact.scene.body_contact import Solid, unsupported_reason
 from warpcontact.scene.elements import Body, ContactMaterial, Points, Surface
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.shapes import Shape
@@ -28,10 +29,15 @@ _FLAT = 0.01
 # Largest number of points and hull facets that are tested.
 _MAX_TRIED = 256
 
+#: Sampling of meshes in pairs that body contact does not support.
+DEFAULT_SAMPLES = "vertices"
+
 Numbers = npt.NDArray[np.int64]
 
 #: More than this number of moving spheres and capsules of one material form a particle contact.
 MIN_PARTICLES = 32
+#: More than this number of pairs of one material form one body contact.
+MIN_BODY_PAIRS = 32
 #: Largest number of contacts of a scene, not counting particle contacts.
 MOST_CONTACTS = 10_000
 #: Largest number of vertices of a static surface whose points are tested against moving bodies.
@@ -150,6 +156,18 @@ class Collider:
         """Material and movable body, for the combination of materials."""
         return Side(self.material, self.body if self.moves else None)
 
+    @property
+    def solid(self) -> Solid:
+        """The shape, or the surface if the collider is a mesh, once added."""
+        solid = self.surface_element if self.shape is None else self.shape
+        assert solid is not None
+        return solid
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the collider is an open mesh."""
+        return self.geometry.mesh is not None and not self.geometry.mesh.report.closed
+
     def is_a(self, *kinds: type) -> bool:
         """Returns whether the analytic shape is an instance of one of these classes."""
         return isinstance(self.geometry.form, kinds)
@@ -198,6 +216,15 @@ class Collider:
         return self.points
 
 
+@dataclass(frozen=True, eq=False)
+class BodyPair:
+    """Two colliders with body contact; the second is a half-space or open mesh if one of them is."""
+
+    first: Collider
+    second: Collider
+    material: ContactMaterial
+
+
 class ContactBuilder:
     """Adds the contacts of colliders to a scene.
 
@@ -205,16 +232,22 @@ class ContactBuilder:
         scene: Scene to add to.
         material: Contact material of all contacts; ``None``: from the physics materials.
         contact_time: Duration of an impact [s], which gives the stiffness if no material does.
-        samples: Sampling of surfaces, as for ``add_surface_contact``.
+        samples: Sampling of meshes, as for ``add_surface_contact``; ``None``: body contact.
     """
 
     def __init__(
-        self, scene: SceneData, material: ContactMaterial | None, contact_time: float, samples: int | str
+        self,
+        scene: SceneData,
+        material: ContactMaterial | None,
+        contact_time: float,
+        samples: int | str | None,
     ) -> None:
         self.scene = scene
         self.samples = samples
         self.combiner = ContactMaterials(material, contact_time)
         self.remarks: list[str] = []
+        self._body_pairs: list[BodyPair] = []
+        self._unsupported: dict[str, list[str]] = {}  # reasons why pairs have no body contact, by kind of contact
 
     def add(self, colliders: list[Collider], excluded: Numbers) -> None:
         """Adds all contacts between colliders.
@@ -242,7 +275,12 @@ class ContactBuilder:
             # Normals point towards the first: a moving collider before a static one, and a plane last.
             swap = (first.is_a(shapes.Plane), not first.moves) > (second.is_a(shapes.Plane), not second.moves)
             self._add_pair(*((second, first) if swap else (first, second)))
+        self._add_body_contacts()
         self.remarks += self.combiner.remarks()
+        for kind, reasons in self._unsupported.items():
+            self.remarks.append(
+                f"{len(reasons)} pairs have contact {kind}, because they have no body contact. The first: {reasons[0]}"
+            )
 
     def _add_particles(self, members: list[Collider], excluded: Numbers, colliders: list[Collider]) -> None:
         heaviest = max(members, key=lambda first: first.side.mass)
@@ -263,18 +301,76 @@ class ContactBuilder:
             radius = rolling_radius(form, second_form)
         else:
             radius = sphere.geometry.form.radius if sphere.is_a(shapes.Sphere) else None  # type: ignore[union-attr]
+        if self._has_body_contact(first, second, radius):
+            material, _ = self.combiner.combine(repr(name), first.side, second.side, None, over_area=True)
+            # An open mesh is the second solid.
+            self._body_pairs.append(BodyPair(*((second, first) if first.is_open else (first, second)), material))
+            return
         material, common = self.combiner.combine(repr(name), first.side, second.side, radius)
         options: dict[str, Any] = {**common, "name": name}
         if is_shape_contact:
             scene.add_shape_contact(_shape(first), _shape(second), material, **options)
         elif radius is not None:
-            scene.add_contact(
-                sphere.center_point(scene), surface_side.surface(scene), material, radius=radius, **options
-            )
+            options |= {"radius": radius, "minima": "all"}
+            scene.add_contact(sphere.center_point(scene), surface_side.surface(scene), material, **options)
         elif second.is_a(shapes.Plane):
             self._add_points(first, second, material, options, 1.0)
         else:
             self._add_surfaces(first, second, material, options)
+
+    def _has_body_contact(self, first: Collider, second: Collider, radius: float | None) -> bool:
+        """Returns whether a pair has body contact. ``radius``: rolling radius [m]; ``None``: there is none."""
+        has_mesh = first.geometry.form is None or second.geometry.form is None
+        if self.samples is not None and has_mesh:
+            return False
+        if first.is_a(shapes.Sphere) or second.is_a(shapes.Sphere):
+            return False
+        if not has_mesh and (first.is_a(shapes.Ellipsoid) or second.is_a(shapes.Ellipsoid)):
+            return False
+        # A rolling cylinder or capsule keeps the rolling friction of its material, which body contact does not have.
+        if (
+            radius is not None
+            and self.combiner.given is None
+            and first.material.with_other(second.material).rolling
+        ):
+            return False
+        reason = unsupported_reason(first.solid, second.solid, self.combiner.given)
+        if reason is not None:
+            kind = "of sample points" if has_mesh else "at one point"
+            self._unsupported.setdefault(kind, []).append(reason)
+        return reason is None
+
+    def _add_body_contacts(self) -> None:
+        """Adds a body contact for each pair, or one for many pairs of the same material."""
+        groups: dict[tuple[int, bool], list[BodyPair]] = {}
+        for pair in self._body_pairs:
+            groups.setdefault((id(pair.material), pair.second.moves), []).append(pair)
+        for pairs in groups.values():
+            if len(pairs) > MIN_BODY_PAIRS and self._add_body_contact_of_lists(pairs):
+                continue
+            for pair in pairs:
+                name = self.scene.new_name(f"{pair.first.name}_{pair.second.name}", None)
+                self.scene.add_body_contact(pair.first.solid, pair.second.solid, pair.material, name=name)
+
+    def _add_body_contact_of_lists(self, pairs: "list[BodyPair]") -> bool:
+        """Adds one body contact of all pairs, unless it would exclude more pairs than it has; returns whether it was added."""
+        first = list(dict.fromkeys(pair.first for pair in pairs))
+        second = list(dict.fromkeys(pair.second for pair in pairs))
+        if pairs[0].second.moves:
+            first = second = list(dict.fromkeys((*first, *second)))
+        wanted = {frozenset((pair.first, pair.second)) for pair in pairs}
+        every = {
+            frozenset((one, other)): (one.solid, other.solid)
+            for one in first
+            for other in second
+            if one.body is not other.body
+        }
+        exclude = [pair for key, pair in every.items() if key not in wanted]
+        if len(exclude) > len(pairs):
+            return False
+        solids = [one.solid for one in first], [one.solid for one in second]
+        self.scene.add_body_contact(solids[0], solids[1], pairs[0].material, exclude=exclude)
+        return True
 
     def _add_surfaces(
         self, first: Collider, second: Collider, material: ContactMaterial, options: dict[str, Any]
@@ -295,7 +391,8 @@ class ContactBuilder:
         self, first: Collider, second: Collider, material: ContactMaterial, options: dict[str, Any], part: float
     ) -> None:
         """Adds contact of points of one surface with the other; ``part``: fraction of the force of the pair."""
-        points, surface_element = first.sample_points(self.scene, self.samples), second.surface(self.scene)
+        samples = DEFAULT_SAMPLES if self.samples is None else self.samples
+        points, surface_element = first.sample_points(self.scene, samples), second.surface(self.scene)
         reach = 0.5 * float(np.linalg.norm(np.ptp(surface_element.mesh.bounds, axis=0)))
         force_scale = part * averaged_force_scale(points.positions, reach, convex=first.moves)
         self.scene.add_contact(points, surface_element, material, force_scale=force_scale, **options)

@@ -44,7 +44,7 @@ def build_scene(
     *,
     material: ContactMaterial | None,
     contact_time: float,
-    samples: int | str,
+    samples: int | str | None,
     skip_unsupported: bool,
 ) -> SceneData:
     """Returns the scene of a stage.
@@ -54,7 +54,7 @@ def build_scene(
         subject: Name of the stage in messages.
         material: Contact material of all contacts; ``None``: from the physics materials.
         contact_time: Duration of an impact [s].
-        samples: Sampling of surfaces, as for ``add_surface_contact``.
+        samples: Sampling of meshes, as for ``add_surface_contact``; ``None``: body contact.
         skip_unsupported: Whether to omit what has no counterpart instead of raising an error.
 
     Raises:
@@ -75,7 +75,12 @@ class _Assembly:
         self.body_names, self.collider_names = names[: len(physics["bodies"])], names[len(physics["bodies"]) :]
 
     def scene(
-        self, subject: str, material: ContactMaterial | None, contact_time: float, samples: int | str, skip: bool
+        self,
+        subject: str,
+        material: ContactMaterial | None,
+        contact_time: float,
+        samples: int | str | None,
+        skip: bool,
     ) -> SceneData:
         found = [
             self._collect_errors(one, partial(self._part, one, name)) for one, name in self._named_colliders()
@@ -267,7 +272,7 @@ def scene_from_usd(
     custom_types: Iterable[type[Formula] | type[SceneElement]],
     material: ContactMaterial | None,
     contact_time: float,
-    samples: int | str,
+    samples: int | str | None,
     skip_unsupported: bool,
     trusted: bool,
     limits: Limits | None,
@@ -278,7 +283,7 @@ def scene_from_usd(
     if limits is not None and not isinstance(limits, Limits):
         raise TypeError(f"limits must be a Limits or None, got {limits!r}")
     duration = float(checks.numbers("contact_time", contact_time, (), allowed("s", above=0.0)))
-    amount = check_amount("samples", samples)
+    amount = None if samples is None else check_amount("samples", samples)
     skip = checks.switch("skip_unsupported", skip_unsupported)
     subject = f"stage {shortened(path)!r}"
     found = _read(Path(path), subject, checks.switch("trusted", trusted), Limits() if limits is None else limits)
