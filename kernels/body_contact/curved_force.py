@@ -340,6 +340,9 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
             share = overlap.share
             if not is_first:
                 share = double(1.0) - share
+            if half_space:
+                # Parts wholly below the plane have columns that cancel: the area is that of the exits.
+                sums.area = double(0.5) * (sums.area + sums.gross_area)
             store_result(
                 state, env, step[env, 0], pair, contact_status, overlap.depth, share, setting, coefficients,
                 history_in, history_out, patches_out, body_contacts, ends, first_end + 2 * number, sums, patch_rows,

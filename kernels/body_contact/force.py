@@ -186,6 +186,9 @@ def contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_
                             planes, exits, pending, top, coefficients, history_in, history_out, body_contacts, sums, normals,
                             patch_rows,
                         )  # fmt: skip
+            if half_space:
+                # Parts wholly below the plane have columns that cancel: the area is that of the exits.
+                sums.area = double(0.5) * (sums.area + sums.gross_area)
             store_result(
                 state, env, step[env, 0], pair, contact_status, overlap.depth, overlap.share, setting, coefficients,
                 history_in, history_out, patches_out, body_contacts, ends, first_end + 2 * number, sums, patch_rows,

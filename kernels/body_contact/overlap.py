@@ -259,6 +259,7 @@ def overlap_of(
         return result
     # Deviation from flatness of the part of each surface that is inside the other solid [m²].
     deviation = wp.vec2d()
+    area = wp.vec2d()
     sides = wp.where((second.flags & HAS_BOUNDARY) != 0, 1, 2)
     for side in range(sides):
         own = second
@@ -302,6 +303,7 @@ def overlap_of(
                 least_depths[face_slot(side, face - own.first_face)] = overlap.least
                 total += overlap.area
                 total_vector += overlap.area * geometries.normal[face]
+        area[side] = total
         deviation[side] = wp.max(total - wp.length(total_vector), double(0.0))
     if (second.flags & HAS_BOUNDARY) == 0:
         # Faces of the second solid carry more if the first solid is less flat.
@@ -309,6 +311,11 @@ def overlap_of(
         together = deviation[0] + deviation[1]
         if together > double(0.0):
             result.share = deviation[1] / together
+        # Only the surface of a solid that is wholly inside the other one has columns.
+        if area[0] == double(0.0) and area[1] > double(0.0):
+            result.share = double(0.0)
+        elif area[1] == double(0.0) and area[0] > double(0.0):
+            result.share = double(1.0)
     return result
 
 
