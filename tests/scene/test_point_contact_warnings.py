@@ -57,12 +57,25 @@ def test_one_warning_names_the_first_contacts_of_vertices_and_counts_the_others(
     [
         (BOX, shapes.Plane(), {}, True),
         (BOX, BOX, {}, True),
+        (shapes.Cylinder(0.1, 0.1), shapes.Plane(), {}, True),
+        (shapes.Capsule(0.1, 0.1), BOX, {}, True),
+        (shapes.Capsule(0.1, 0.1), shapes.Capsule(0.1, 0.1), {}, False),
         (shapes.Sphere(0.1), shapes.Plane(), {}, False),
         (shapes.Ellipsoid((0.1, 0.2, 0.3)), BOX, {}, False),
         (shapes.RoundedBox((0.1, 0.1, 0.1), radius=0.01), shapes.Plane(), {}, False),
         (BOX, shapes.Plane(), {"torsion": wc.friction.Coulomb(mu=0.1)}, False),
     ],
-    ids=["box on a half-space", "boxes", "sphere", "ellipsoid on a box", "rounded edges", "material of one point"],
+    ids=[
+        "box on a half-space",
+        "boxes",
+        "cylinder",
+        "capsule on a box",
+        "capsules",
+        "sphere",
+        "ellipsoid on a box",
+        "rounded edges",
+        "material of one point",
+    ],
 )
 def test_shape_contact_of_flat_faces_is_warned_of_if_body_contact_supports_it(form, other, options, warns):
     scene = wc.Scene()
@@ -73,7 +86,9 @@ def test_shape_contact_of_flat_faces_is_warned_of_if_body_contact_supports_it(fo
     found = warnings_of(scene)
     assert len(found) == warns
     if warns:
-        assert found[0].startswith("touch: shape contact of two solids with flat faces has one contact point")
+        assert found[0].startswith(
+            "touch: shape contact has one contact point, so that solids do not come to rest"
+        )
         assert "add_body_contact" in found[0]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.revolution import Cone, Cylinder
 from warpcontact.kernels.shapes.rounded_box import RoundedBox
+from warpcontact.kernels.shapes.spheres import Capsule
 from warpcontact.scene.body_contact import unsupported_reason
 from warpcontact.scene.elements import Contact, Points, Surface
 from warpcontact.scene.shapes import ShapeContact
@@ -15,8 +16,10 @@ from warpcontact.scene.shapes import ShapeContact
 if TYPE_CHECKING:
     from warpcontact.scene.scene_data import SceneData
 
-# Shapes with flat faces, on which bodies rest; boxes with rounded edges have no body contact.
+# Shapes with flat faces, on which bodies rest, and those with straight sides, which lie on them. Boxes with rounded edges
+# have no body contact.
 _FLAT: tuple[type, ...] = (Plane, RoundedBox, Cylinder, Cone)
+_STRAIGHT: tuple[type, ...] = (*_FLAT, Capsule)
 # Number of contacts that a warning names.
 _NAMED = 3
 
@@ -24,8 +27,8 @@ _NAMED = 3
 def point_contact_warnings(scene: "SceneData") -> list[str]:
     """Returns warnings about contacts of a scene that ``add_body_contact`` should replace.
 
-    These are contacts of the vertices of a closed mesh with another closed mesh, and shape contacts of two solids with
-    flat faces that body contact supports.
+    These are contacts of the vertices of a closed mesh with another closed mesh, and shape contacts that body contact
+    supports of a solid with flat faces and one with flat faces or straight sides.
     """
     found = []
     vertices = [one.name for one in scene.contacts if _is_of_vertices(one)]
@@ -37,8 +40,8 @@ def point_contact_warnings(scene: "SceneData") -> list[str]:
     flat = [one.name for one in scene.shape_contacts if _is_of_flat_faces(one)]
     if flat:
         found.append(
-            f"{_listed(flat)}: shape contact of two solids with flat faces has one contact point, so that bodies do not "
-            "come to rest on faces. Use add_body_contact"
+            f"{_listed(flat)}: shape contact has one contact point, so that solids do not come to rest on flat faces or "
+            "straight sides. Use add_body_contact"
         )
     return found
 
@@ -60,9 +63,11 @@ def _are_vertices(points: Points, surface: Surface | None) -> bool:
 
 
 def _is_of_flat_faces(contact: ShapeContact) -> bool:
-    """Returns whether a shape contact has two flat-faced shapes that body contact supports."""
+    """Returns whether body contact supports a shape contact of a flat face with a flat face or straight side."""
     pair = contact.shape, contact.other_shape
-    return all(issubclass(one.kind, _FLAT) for one in pair) and unsupported_reason(*pair, contact.material) is None
+    has_faces = any(issubclass(one.kind, _FLAT) for one in pair)
+    is_straight = all(issubclass(one.kind, _STRAIGHT) for one in pair)
+    return has_faces and is_straight and unsupported_reason(*pair, contact.material) is None
 
 
 def _listed(names: Sequence[str]) -> str:
