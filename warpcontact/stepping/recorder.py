@@ -70,9 +70,11 @@ def item_dimension(scene: SceneData, element: str) -> str:
     """Returns the name of the item dimension of an element; sets of different size need different names."""
     sizes = {points.count for points in scene.points if not points.single}
     sizes |= {body.count for body in scene.bodies if not body.single}
-    # A particle contact has one item per particle; its particles may be those of several sets.
-    sizes |= {contact.count for contact in scene.particle_contacts if contact.name == element}
-    sizes |= {contact.count for contact in scene.body_contacts if contact.name == element}
+    # A particle contact has one item per particle, which may be those of several sets, and a body contact one per pair.
+    contacts = {contact.name: contact.count for contact in scene.particle_contacts}
+    contacts |= {contact.name: contact.count for contact in scene.body_contacts if not contact.single}
+    if element in contacts:
+        sizes |= set(contacts.values())
     return "item" if len(sizes) == 1 else f"{element}.item"
 
 

@@ -179,3 +179,22 @@ def test_errors_of_excluded_pairs_name_the_pair():
         scene.add_body_contact(box, floor, MATERIAL, exclude=[box])
     with pytest.raises(ValueError, match="exclude leaves no pair"):
         scene.add_body_contact([box, floor], MATERIAL, exclude=[(box, floor)])
+
+
+def test_body_contacts_of_different_sizes_are_recorded_together(device):
+    """Each has its own item dimension in a recording."""
+    scene = wc.Scene()
+    ground = scene.add_shape(None, wc.shapes.Plane(), name="ground")
+    boxes = []
+    for i in range(3):
+        box = scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(0, 0, 0.099 * i + 0.05), name=f"box_{i}")
+        scene.add_shape(box, wc.shapes.RoundedBox((0.05, 0.05, 0.05)))
+        boxes.append(box)
+    material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e7))
+    scene.add_body_contact(boxes, material, name="among")
+    scene.add_body_contact(boxes[:2], ground, material, name="on_ground")
+    model = scene.build(envs=2, device=device, precision="float64")
+    recording = wc.Simulation(model, dt=1e-5).run(2e-5, ["among.depth", "on_ground.depth"])
+    assert recording["among.depth"].dims == ("time", "env", "among.item")
+    assert recording["among.depth"].sizes["among.item"] == 3
+    assert recording["on_ground.depth"].sizes["on_ground.item"] == 2
