@@ -11,8 +11,8 @@ from warpcontact.kernels.body_contact.surface_queries import (
     PARALLEL,
     BoundingBox,
     SolidGeometry,
+    crosses_face,
     distance_to_face,
-    is_on_face,
     plane_offset,
 )
 
@@ -21,6 +21,8 @@ vec3d = wp.vec3d
 
 # Distance by which a place where a ray enters is preferred to one where it leaves, relative to the size of the solid.
 GRAZING = wp.constant(double(1.0e-9))
+# Error of the distance along a ray to a plane that is normal to it, relative to the size of the solid.
+ROUNDING = wp.constant(double(1.0e-15))
 #: Length of the array of pending nodes: three traversals within each other, of trees of up to 2³⁰ leaves.
 PENDING_NODES = 96
 
@@ -146,6 +148,8 @@ def first_crossing(
     result = Crossing()
     result.distance = INFINITE
     nearest = OFFSET * wp.length(solid.half_extents)
+    # Crossings beyond are not the first one.
+    farthest = INFINITE
     top = start_traversal(pending, bottom, solid)
     while top > bottom:
         top -= 1
@@ -153,7 +157,7 @@ def first_crossing(
         # The bounds include a margin for rounding.
         lower = scaled(geometries.node_lower[pending[top]], solid.scale)
         upper = scaled(geometries.node_upper[pending[top]], solid.scale)
-        if entry_of_ray(lower, upper, origin, direction, result.distance) == INFINITE:
+        if entry_of_ray(lower, upper, origin, direction, farthest) == INFINITE:
             continue
         if node[0] >= 0:
             pending[top] = node[0]
@@ -168,13 +172,18 @@ def first_crossing(
             distance = (plane_offset(geometries, solid, face) - wp.dot(normal, origin)) / cosine
             if distance < nearest:
                 continue
-            position = origin + distance * direction
-            # A ray that enters and leaves at an edge does not come from inside.
+            # A ray that enters and leaves at an edge does not come from inside. The distance to a face that is nearly parallel to
+            # the ray is inaccurate.
+            margin = ROUNDING / cosine
             if cosine < double(0.0):
-                distance -= GRAZING * wp.length(solid.half_extents)
-            if distance >= result.distance:
+                margin -= GRAZING
+            bound = distance + margin * wp.length(solid.half_extents)
+            if bound >= farthest:
                 continue
-            if is_on_face(geometries, solid, face, position):
+            if crosses_face(
+                geometries, solid, face, origin, wp.where(cosine > double(0.0), direction, -direction)
+            ):
+                farthest = bound
                 result.distance = distance
                 result.leaves = wp.where(cosine > double(0.0), 1, 0)
     return result

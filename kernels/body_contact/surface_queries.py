@@ -20,6 +20,9 @@ PARALLEL = wp.constant(double(1.0e-12))
 OFFSET = wp.constant(double(1.0e-12))
 # Distance from an edge, relative to its length, up to which a point beyond it counts as on the face.
 EDGE_TOLERANCE = wp.constant(double(1.0e-12))
+# Distance from an edge, relative to the size of the solid, up to which a line beyond it crosses the face. Larger than the distance
+# that a line covers across a face to which it counts as parallel.
+LINE_TOLERANCE = wp.constant(double(1.0e-11))
 INFINITE = wp.constant(double(wp.inf))
 
 
@@ -148,6 +151,25 @@ def is_on_face(geometries: Geometries, side: SolidGeometry, face: int, position:
         edge = current - previous
         # A point on a common edge is on both faces.
         if wp.dot(wp.cross(edge, position - previous), normal) < -EDGE_TOLERANCE * wp.length_sq(edge):
+            return False
+        previous = current
+    return True
+
+
+@wp.func
+def crosses_face(geometries: Geometries, side: SolidGeometry, face: int, origin: vec3d, direction: vec3d):
+    """Returns whether a line, along which one leaves the solid at a face, passes through the face.
+
+    A line through a common edge passes through both faces, also if it is nearly parallel to one of them.
+    """
+    vertices = geometries.face[face]
+    count = corner_count(vertices)
+    tolerance = LINE_TOLERANCE * wp.length(side.half_extents)
+    previous = face_vertex(geometries, vertices, count - 1, side.scale)
+    for i in range(count):
+        current = face_vertex(geometries, vertices, i, side.scale)
+        edge = current - previous
+        if wp.dot(wp.cross(edge, origin - previous), direction) < -tolerance * wp.length(edge):
             return False
         previous = current
     return True
