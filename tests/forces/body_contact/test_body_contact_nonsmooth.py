@@ -314,14 +314,3 @@ def test_cube_bounces_with_its_restitution(impacts, device):
     wc.Simulation(model, dt=1e-3, integrator=moreau_jean(impacts=impacts)).step(40)
     np.testing.assert_allclose(model.sensor("cube.linear_velocity"), [[0, 0, 0.5]] * 3, atol=1e-7)
     np.testing.assert_allclose(model.sensor("cube.angular_velocity"), 0, atol=1e-7)
-
-
-def test_nonsmooth_contact_of_a_curved_solid_is_refused(device):
-    scene = wc.Scene()
-    floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
-    body = scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(0, 0, 1))
-    drum = scene.add_shape(body, wc.shapes.Cylinder(0.1, 0.1), name="drum")
-    scene.add_body_contact(drum, floor, wc.ContactMaterial(law=wc.laws.Rigid()), name="press")
-    model = scene.build(envs=1, device=device)
-    with pytest.raises(ValueError, match="press: 'drum' is a Cylinder; nonsmooth body contact supports"):
-        wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean())

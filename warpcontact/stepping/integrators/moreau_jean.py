@@ -119,7 +119,8 @@ class MoreauJean(Integrator):
         """Checks that nonsmooth contacts have a rigid law and a friction coefficient, and compliant ones a force.
 
         Raises:
-            ValueError: If not, if a contact is swept, if a nonsmooth body contact has a curved solid, or if a name in ``compliant`` does not exist.
+            ValueError: If not, if a contact is swept, if a pair of solids is not supported, or if a name in ``compliant``
+                does not exist.
         """
         contacts = formulas_of(scene)
         for body_contact in scene.body_contacts:
