@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -15,9 +15,7 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.contact.contact_evaluation import ContactModel
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.shapes.base import Plane
-from warpcontact.kernels.shapes.revolution import Cone, Cylinder
 from warpcontact.kernels.shapes.rounded_box import RoundedBox
-from warpcontact.kernels.shapes.spheres import Capsule, Ellipsoid, Sphere
 from warpcontact.scene.elements import Body, ContactMaterial, Surface, check_owned, options_of
 from warpcontact.scene.shapes import Shape
 from warpcontact.validation import checks
@@ -28,10 +26,16 @@ Solid: TypeAlias = Surface | Shape
 
 #: Weight of the columns on the faces of the second solid, by ``reference``; negative: it follows from the flatness of both.
 REFERENCES = {"auto": -1.0, "first": 0.0, "second": 1.0, "average": 0.5}
-#: Shapes with curved surfaces that body contact supports.
-CURVED: tuple[type, ...] = (Sphere, Ellipsoid, Cylinder, Cone, Capsule)
-#: Shapes that body contact supports.
-_SHAPES: tuple[type, ...] = (RoundedBox, Plane, *CURVED)
+
+
+@cache
+def curved_shapes() -> tuple[type, ...]:
+    """Returns the classes of shapes with curved surfaces that body contact supports."""
+    # Imported on demand, because most scenes do not need them.
+    from warpcontact.kernels.shapes.revolution import Cone, Cylinder
+    from warpcontact.kernels.shapes.spheres import Capsule, Ellipsoid, Sphere
+
+    return Sphere, Ellipsoid, Cylinder, Cone, Capsule
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +111,12 @@ class BodyContact:
             ValueError: If a cone or an ellipsoid is in contact with a polyhedron, or two curved solids are not spheres or
                 capsules.
         """
+        from warpcontact.kernels.shapes.revolution import Cone
+        from warpcontact.kernels.shapes.spheres import Capsule, Ellipsoid, Sphere
+
         remedy = f"Use a mesh, add_shape_contact, or compliant=[{self.name!r}]"
         for pair in self.pairs:
-            kinds = [one.kind for one in pair if isinstance(one, Shape) and one.kind in CURVED]
+            kinds = [one.kind for one in pair if isinstance(one, Shape) and one.kind in curved_shapes()]
             described = " and ".join(
                 f"{one.name!r} is a {one.kind.__name__}"
                 for one in pair
@@ -309,8 +316,9 @@ def _check_solid(label: str, solid: Solid) -> None:
         return
     if not solid.single:
         raise ValueError(f"{label}: shape {solid.name!r} is a set; body contact needs shapes of single bodies")
-    if solid.kind not in _SHAPES:
-        names = ", ".join(kind.__name__ for kind in _SHAPES)
+    supported = (RoundedBox, Plane, *curved_shapes())
+    if solid.kind not in supported:
+        names = ", ".join(kind.__name__ for kind in supported)
         raise ValueError(
             f"{label}: shape {solid.name!r} is a {solid.kind.__name__}; body contact supports meshes and the shapes "
             f"{names}. add_shape_contact supports all shapes, at one point"

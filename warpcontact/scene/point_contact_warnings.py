@@ -5,10 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpcontact.kernels.shapes.base import Plane
-from warpcontact.kernels.shapes.revolution import Cone, Cylinder
-from warpcontact.kernels.shapes.rounded_box import RoundedBox
-from warpcontact.kernels.shapes.spheres import Capsule
 from warpcontact.scene.body_contact import unsupported_reason
 from warpcontact.scene.elements import Contact, Points, Surface
 from warpcontact.scene.shapes import ShapeContact
@@ -16,10 +12,6 @@ from warpcontact.scene.shapes import ShapeContact
 if TYPE_CHECKING:
     from warpcontact.scene.scene_data import SceneData
 
-# Shapes with flat faces, on which bodies rest, and those with straight sides, which lie on them. Boxes with rounded edges
-# have no body contact.
-_FLAT: tuple[type, ...] = (Plane, RoundedBox, Cylinder, Cone)
-_STRAIGHT: tuple[type, ...] = (*_FLAT, Capsule)
 # Number of contacts that a warning names.
 _NAMED = 3
 
@@ -64,9 +56,17 @@ def _are_vertices(points: Points, surface: Surface | None) -> bool:
 
 def _is_of_flat_faces(contact: ShapeContact) -> bool:
     """Returns whether body contact supports a shape contact of a flat face with a flat face or straight side."""
+    # Imported on demand, because only shape contacts need them.
+    from warpcontact.kernels.shapes.base import Plane
+    from warpcontact.kernels.shapes.revolution import Cone, Cylinder
+    from warpcontact.kernels.shapes.rounded_box import RoundedBox
+    from warpcontact.kernels.shapes.spheres import Capsule
+
+    # Shapes with flat faces, on which bodies rest, and those with straight sides, which lie on them.
+    flat = (Plane, RoundedBox, Cylinder, Cone)
     pair = contact.shape, contact.other_shape
-    has_faces = any(issubclass(one.kind, _FLAT) for one in pair)
-    is_straight = all(issubclass(one.kind, _STRAIGHT) for one in pair)
+    has_faces = any(issubclass(one.kind, flat) for one in pair)
+    is_straight = all(issubclass(one.kind, (*flat, Capsule)) for one in pair)
     return has_faces and is_straight and unsupported_reason(*pair, contact.material) is None
 
 
