@@ -55,7 +55,7 @@ class Polyhedron:
 
     @classmethod
     def from_mesh(cls, mesh: Mesh) -> "Polyhedron":
-        """Returns the polyhedron of a mesh. Coplanar triangles are merged where their union is convex."""
+        """Returns the polyhedron of a mesh. Coplanar triangles are merged, in pairs if the union of all is not convex."""
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         triangles = np.asarray(mesh.welded)[np.asarray(mesh.faces)]
         is_closed = mesh.report.closed
@@ -69,8 +69,12 @@ class Polyhedron:
             if len(group) == 1:
                 polygons.append(triangles[group[0]])
                 continue
-            outline = _convex_outline(vertices, triangles[group], normals[group[0]], _TOLERANCE * size)
-            polygons += [triangles[number] for number in group] if outline is None else _quadrilaterals(outline)
+            flat, normal, tolerance = triangles[group], normals[group[0]], _TOLERANCE * size
+            outline = _convex_outline(vertices, flat, normal, tolerance)
+            if outline is None:
+                polygons += _merged_pairs(vertices, flat, normal, tolerance)
+            else:
+                polygons += _quadrilaterals(outline)
         faces = np.full((len(polygons), 4), -1, dtype=np.int32)
         for row, polygon in zip(faces, polygons, strict=True):
             row[: len(polygon)] = polygon
@@ -190,18 +194,48 @@ def _convex_outline(
         loop.append(after)
     if len(loop) != len(following):
         return None
-    corners = []
-    for i, vertex in enumerate(loop):
-        before, after = vertices[loop[i - 1]], vertices[loop[(i + 1) % len(loop)]]
-        here = vertices[vertex]
-        length = float(np.linalg.norm(after - before))
-        # Distance of the corner from the line of its neighbors.
-        height = np.cross(here - before, after - here) @ normal / max(length, tolerance)
-        if height < -tolerance:
-            return None
-        if height > tolerance:
-            corners.append(vertex)
+    points = vertices[loop]
+    before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
+    lengths = np.linalg.norm(after - before, axis=1)
+    # Distances of the corners from the lines of their neighbors.
+    heights = np.cross(points - before, after - points) @ normal / np.maximum(lengths, tolerance)
+    if heights.min() < -tolerance:
+        return None
+    corners = [vertex for vertex, height in zip(loop, heights, strict=True) if height > tolerance]
     return corners if len(corners) >= 3 else None
+
+
+def _merged_pairs(
+    vertices: Array, triangles: NDArray[np.int32], normal: Array, tolerance: float
+) -> list[list[int]]:
+    """Returns the corners of coplanar triangles, merged in pairs with a convex union across their longest edges."""
+    owners = defaultdict(list)
+    rows = triangles.tolist()
+    edges = [[(row[i], row[(i + 1) % 3]) for i in range(3)] for row in rows]
+    for number, sides in enumerate(edges):
+        for side in sides:
+            owners[frozenset(side)].append(number)
+    is_done = np.zeros(len(rows), dtype=bool)
+    polygons = []
+    for number, sides in enumerate(edges):
+        if is_done[number]:
+            continue
+        is_done[number] = True
+        polygon = rows[number]
+        lengths = [-float(np.linalg.norm(vertices[start] - vertices[end])) for start, end in sides]
+        for index in np.argsort(lengths, kind="stable"):
+            others = [other for other in owners[frozenset(sides[index])] if not is_done[other]]
+            unions = (
+                (other, _convex_outline(vertices, triangles[[number, other]], normal, tolerance))
+                for other in others
+            )
+            found = next(((other, union) for other, union in unions if union is not None), None)
+            if found is not None:
+                is_done[found[0]] = True
+                polygon = found[1]
+                break
+        polygons.append(polygon)
+    return polygons
 
 
 def _quadrilaterals(outline: list[int]) -> list[list[int]]:
