@@ -52,7 +52,7 @@ def test_cylinders_side_by_side_have_the_force_of_their_common_volume(shift, dev
     area = 2 * (RADIUS**2 * np.arctan2(half, distance / 2) - distance / 2 * half)
     # Quadrature of a long rectangle in polar coordinates: 1e-3.
     np.testing.assert_allclose(model.sensor("press.force")[:, 0], K * area * (2 * LENGTH - shift), rtol=2e-3)
-    # Ends beside the common length turn the common plane by the order of the depth over the radius.
+    # Ends next to the common length turn the common plane by the order of the depth over the radius.
     assert np.abs(model.sensor("press.force")[:, 1:]).max() < 1e-4 * K * area.max() * LENGTH
 
 
@@ -73,7 +73,7 @@ def test_stacked_cylinders_carry_the_load_of_their_common_area(offset, device):
     model["upper_body.position"] = np.column_stack([np.full(3, offset), 0 * depth, 2 * LENGTH - depth])
     area = 2 * RADIUS**2 * np.arccos(offset / 2 / RADIUS) - offset / 2 * np.sqrt(4 * RADIUS**2 - offset**2)
     force = model.sensor("press.force")
-    # Quadrature of an outline with two corners: up to 4e-3. Of a circle it is exact.
+    # Quadrature of an outline with two corners: up to 4e-3. It is exact for a circle.
     np.testing.assert_allclose(force[:, 2], K * area * depth, rtol=4e-3 if offset > 0.01 else 1e-8)
     assert np.abs(force[:, :2]).max() < 1e-5 * force.max()
 
