@@ -136,6 +136,15 @@ def add_crossings(
 
 
 @wp.func
+def end_depth(section: Section, profile: Profile, is_exit: bool):
+    """Returns the depth t = start + slope × u of the flat end at which columns leave or enter, and whether there is one."""
+    limit = end_of_columns(section, profile, is_exit)
+    depth, has_end = limit_depth(section, limit)
+    # The limit at the tip of a cone is no end.
+    return depth, has_end and not (profile.k_2 > double(0.0) and limit == profile.upper)
+
+
+@wp.func
 def end_of_columns(section: Section, profile: Profile, is_exit: bool):
     """Returns the limit of z at which columns leave (``is_exit``) or enter a part."""
     if (section.z_t > double(0.0)) == is_exit:
@@ -175,7 +184,7 @@ def find_breaks(
     if region.has_axis:
         count = add_break(breaks, count, -section.x_0 / section.x_u, REGULAR)
     for side in range(region.end_count):
-        depth, has_end = limit_depth(section, end_of_columns(section, profile, side == 0))
+        depth, has_end = end_depth(section, profile, side == 0)
         if has_end:
             at_end = width_squared(section, profile, depth[0], depth[1])
             count = add_roots(breaks, count, at_end, wp.where(polygon.count == 0, CLOSED, INNER))
@@ -194,7 +203,7 @@ def find_breaks(
             count = add_roots(breaks, count, width_squared(section, profile, start, slope), CLOSED)
             count = add_break(breaks, count, -start / slope, REGULAR)
             for side in range(2):
-                depth, has_end = limit_depth(section, end_of_columns(section, profile, side == 0))
+                depth, has_end = end_depth(section, profile, side == 0)
                 if has_end:
                     count = add_break(breaks, count, (depth[0] - start) / (slope - depth[1]), REGULAR)
     return divide_panels(breaks, count, section, profile, polygon.count > 0)
@@ -342,7 +351,7 @@ def find_limits(
     count = wp.int32(2)
     for side in range(region.end_count):
         # Columns leave at, or enter through, a flat end.
-        depth, has_end = limit_depth(section, end_of_columns(section, profile, side == 0))
+        depth, has_end = end_depth(section, profile, side == 0)
         if has_end:
             at = depth[0] + depth[1] * u
             if at > double(0.0):
