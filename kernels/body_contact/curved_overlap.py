@@ -237,7 +237,9 @@ def depth_on_face(
             deepest = depth_below_sheets(curved.flags, curved.scale, position)
         return deepest
     point = center
-    for _step in range(PROJECTIONS):
+    # Not a constant, so that the loop is not unrolled.
+    steps = wp.int32(PROJECTIONS)
+    for _step in range(steps):
         position = to_curved * (point - pose.origin)
         depth = double(0.0)
         if is_inside_curved(curved.flags, curved.scale, position):

@@ -183,7 +183,9 @@ def common_point(pair: CurvedPair):
     # Closest points of the centers of the largest spheres inside both.
     inside_1 = pair.pose.origin + pair.pose.rotation * pair.first.center
     inside_2 = pair.second.center
-    for _step in range(CORE_STEPS):
+    # Not a constant, so that the loop is not unrolled.
+    steps = wp.int32(CORE_STEPS)
+    for _step in range(steps):
         inside_2 = center_near(pair.second, inside_1)
         inside_1 = pair.pose.origin + pair.pose.rotation * center_near(
             pair.first, to_first * (inside_2 - pair.pose.origin)
@@ -348,7 +350,9 @@ def start_axes(pair: CurvedPair, plane: CommonPlane, first_axis: vec3d, second_a
 @wp.func
 def with_extents(pair: CurvedPair, plane: CommonPlane):
     """Returns the plane with the center in the middle of the region along both axes, and their lengths those to its boundary."""
-    for number in range(2):
+    # Not a constant, so that the loop is not unrolled.
+    axes = wp.int32(2)
+    for number in range(axes):
         axis = plane.v_axis
         if number == 1:
             axis = plane.u_axis
@@ -376,7 +380,9 @@ def fitted_plane(pair: CurvedPair, plane: CommonPlane):
     mean = wp.vec2d()
     second = vec3d()
     limit = double(1.0)
-    for half_number in range(DIRECTIONS // 2):
+    # Not a constant, so that the loop is not unrolled.
+    half_count = wp.int32(DIRECTIONS // 2)
+    for half_number in range(half_count):
         number = 2 * half_number
         direction = direction_of(plane, number)
         limit = boundary_distance(pair, plane, direction, limit)
@@ -444,7 +450,9 @@ def common_plane(pair: CurvedPair):
     plane.is_found = plane.depth > double(0.0)
     if plane.is_found:
         plane = with_extents(pair, plane)
-    for _fit in range(FITS):
+    # Not a constant, so that the loop is not unrolled.
+    fits = wp.int32(FITS)
+    for _fit in range(fits):
         if plane.is_found:
             plane = fitted_plane(pair, plane)
     return plane

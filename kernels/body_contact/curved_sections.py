@@ -202,7 +202,9 @@ def find_breaks(
             slope = double(-0.5) * (there[1] - here[1]) / here[2]
             count = add_roots(breaks, count, width_squared(section, profile, start, slope), CLOSED)
             count = add_break(breaks, count, -start / slope, REGULAR)
-            for side in range(2):
+            # Not a constant, so that the loop is not unrolled.
+            sides = wp.int32(2)
+            for side in range(sides):
                 depth, has_end = end_depth(section, profile, side == 0)
                 if has_end:
                     count = add_break(breaks, count, (depth[0] - start) / (slope - depth[1]), REGULAR)

@@ -74,7 +74,9 @@ def ellipsoid_sheet(scale: vec3d, position: vec3d):
     smallest = wp.min(squares)
     # The equation is convex: after the first step, Newton steps converge monotonically.
     s = double(0.0)
-    for _step in range(FOOT_STEPS):
+    # Not a constant, so that the loop is not unrolled.
+    steps = wp.int32(FOOT_STEPS)
+    for _step in range(steps):
         shifted = squares + vec3d(s, s, s)
         weighted = wp.cw_div(wp.cw_mul(scale, position), shifted)
         value = wp.dot(weighted, weighted) - ONE
