@@ -195,10 +195,10 @@ def _convex_outline(
     if len(loop) != len(following):
         return None
     points = vertices[loop]
-    before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
-    lengths = np.linalg.norm(after - before, axis=1)
+    previous, subsequent = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
+    lengths = np.linalg.norm(subsequent - previous, axis=1)
     # Distances of the corners from the lines of their neighbors.
-    heights = np.cross(points - before, after - points) @ normal / np.maximum(lengths, tolerance)
+    heights = np.cross(points - previous, subsequent - points) @ normal / np.maximum(lengths, tolerance)
     if heights.min() < -tolerance:
         return None
     corners = [vertex for vertex, height in zip(loop, heights, strict=True) if height > tolerance]

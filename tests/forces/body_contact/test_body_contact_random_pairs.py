@@ -36,9 +36,9 @@ def random_pair(rng, meshes):
     turns = Rotation.random(2, random_state=rng)
     points = [turn.apply(np.array(mesh.vertices)) for turn, mesh in zip(turns, (first, second), strict=True)]
     direction = Rotation.random(random_state=rng).apply([0.0, 0.0, 1.0])
-    # The supports touch when the first is moved along the direction by this distance; then they overlap by up to 4 % of their size.
+    # The supports touch when the first is moved along the direction by this distance; then they overlap by up to 5 % of their size.
     touching = (points[1] @ direction).max() - (points[0] @ direction).min()
-    position = (touching - rng.uniform(0.005, 0.04)) * direction
+    position = (touching - rng.uniform(0.015, 0.05)) * direction
     # Aligns the supporting vertices, so that overlap is likely.
     lowest, highest = points[0][(points[0] @ direction).argmin()], points[1][(points[1] @ direction).argmax()]
     across = highest - lowest
