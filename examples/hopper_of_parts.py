@@ -63,7 +63,7 @@ def scene_of_hopper(parts: int, seed: int = 0) -> wc.Scene:
     )
     area = 1.5 * math.sqrt(3.0) * RADIUS**2
     mass = DENSITY * area * LENGTH
-    # Of a hexagonal prism.
+    # Inertia of a hexagonal prism
     across = mass * (5.0 / 24.0 * RADIUS**2 + LENGTH**2 / 12.0)
     inertia = (across, across, 5.0 / 12.0 * mass * RADIUS**2)
     mesh = part()

@@ -137,7 +137,7 @@ def nut(device: str) -> dict[str, float]:
     table = scene.add_surface(plate, position=(0, 0, -0.5 * NUT_HEIGHT), name="plate")
     body = scene.add_body(
         mass,
-        # Of a cylinder with the same hole, about.
+        # About that of a cylinder with the same hole
         mass * np.array([0.25, 0.25, 0.5]) * (NUT_RADIUS**2 + THREAD_RADIUS**2),
         position=(0, 0, 0.5 * NUT_HEIGHT),
         orientation=(0, 0, math.sin(0.15), math.cos(0.15)),
