@@ -375,7 +375,7 @@ def fitted_plane(pair: CurvedPair, plane: CommonPlane):
     volume = double(0.0)
     moment = vec3d()
     depth = double(0.0)
-    # Of the area: first and second moments in the units of the axes.
+    # First and second moments of the area in the units of the axes.
     area = double(0.0)
     mean = wp.vec2d()
     second = vec3d()

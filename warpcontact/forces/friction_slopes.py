@@ -106,7 +106,7 @@ def unstable_friction_warning(
         slopes: Its dashpot and spring slopes, from ``steepest_slopes``.
         mass: Effective mass for its motion, (env, item) or (env, 1) [kg].
         dt: Time step [s].
-        load: What the normal force is.
+        load: Name of the normal force, for the message.
     """
     dashpot, spring = slopes
     with np.errstate(divide="ignore", over="ignore"):

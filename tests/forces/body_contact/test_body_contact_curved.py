@@ -237,7 +237,7 @@ def test_force_on_a_half_space_is_that_of_the_volume_below(kind, device):
 
 
 @pytest.mark.parametrize("kind", list(SIZES))
-def test_edges_and_corners_of_a_box_act_as_on_a_fine_mesh(kind, device):
+def test_edges_and_vertices_of_a_box_act_as_on_a_fine_mesh(kind, device):
     """Also the rims of cylinders and cones, with the same weights of both references."""
     count = 24
     model = pressed(kind, box(), count, device)
