@@ -46,9 +46,9 @@ def l_section(side, thickness, length):
 
 
 def bracket(length, width, thickness, height):
-    """Returns a U-shaped bracket that stands on its two feet, along x, and its inertia for a mass of 1."""
+    """Returns a U-shaped bracket that stands on its two legs, along x, and its inertia for a mass of 1."""
     a, t, h = length, thickness, height
-    # In the plane of x and z, from the left foot counter-clockwise.
+    # In the plane of x and z, from the left leg counter-clockwise.
     outline = [[0, 0], [t, 0], [t, h - t], [a - t, h - t], [a - t, 0], [a, 0], [a, h], [0, h]]
     triangles = [[0, 1, 2], [0, 2, 7], [2, 3, 7], [3, 6, 7], [3, 4, 5], [3, 5, 6]]
     mesh = prism(outline, triangles, width)
