@@ -35,6 +35,7 @@ LAWS: dict[str, dict[str, float]] = {
     "KuwabaraKono": {"stiffness": 3.1e6, "viscosity": 3.1e-4},
     "HertzDashpot": {"stiffness": 3.1e6, "damping": 30.0},
     "Impact": {"stiffness": 3.1e6, "exponent": 1.5, "damping": 30.0, "depth": 5e-4},
+    "PressureField": {"modulus": 1.5e9, "other_modulus": 4.1e9, "area": 1.1e-4, "damping": 0.3},
 }
 
 #: Parameters of every friction model.
