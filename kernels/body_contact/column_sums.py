@@ -53,6 +53,7 @@ class Column:
 
     depth: double  # t [m]
     weight: double  # of its area in the integral, negative if it is subtracted [m²]
+    fraction: double  # w: part of the pressure that acts, 0 to 1 [-]
     position: vec3d  # where its force acts, relative to the origin of the pair, W [m]
     normal: vec3d  # unit, out of the second solid, W
     patch: wp.int32
@@ -100,16 +101,22 @@ class PieceSums:
 
 @wp.func
 def with_sample(
-    piece: PieceSums, pressure: double, weight: double, depth: double, approach: double, position: vec3d
+    piece: PieceSums,
+    pressure: double,
+    weight: double,
+    fraction: double,
+    depth: double,
+    approach: double,
+    position: vec3d,
 ):
-    """Returns the sums over a polygon with a sample of area ``weight`` added."""
+    """Returns the sums over a polygon with a sample of area ``weight`` added; a part ``fraction`` of its pressure acts."""
     normal_force = weight * pressure
     piece.area += weight
     piece.gross_area += wp.abs(weight)
     piece.volume += weight * depth
     piece.approach += weight * approach
     piece.pressure += normal_force
-    piece.max_pressure = wp.max(piece.max_pressure, pressure)
+    piece.max_pressure = wp.max(piece.max_pressure, fraction * pressure)
     piece.depth_moment += normal_force * depth
     piece.moment += normal_force * position
     piece.second_moment += normal_force * wp.outer(position, position)
@@ -215,7 +222,7 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         sums.area += column.weight
         sums.volume += column.weight * column.depth
         sums.pressure += normal_force
-        sums.max_pressure = wp.max(sums.max_pressure, pressure)
+        sums.max_pressure = wp.max(sums.max_pressure, column.fraction * pressure)
         sums.gross_area += wp.abs(column.weight)
         sums.approach += column.weight * double(result.approach_speed)
         sums.friction += friction_W

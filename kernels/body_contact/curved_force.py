@@ -321,9 +321,8 @@ def curved_contact_forces(contact_model: ContactModel, real: type, per_area: boo
                                                 )
                                                 column.depth += crossing.distance
                                             column.weight = column.weight * reach_weight(column.depth, sheet.reach)
-                                        column.weight = column.weight * column_weight(
-                                            column.depth, overlap, half_space
-                                        )
+                                        column.fraction = column_weight(column.depth, overlap, half_space)
+                                        column.weight = column.weight * column.fraction
                                         # Rounding can make the depth at the boundary of a section negative.
                                         if column.weight == double(0.0) or column.depth <= double(0.0):
                                             continue

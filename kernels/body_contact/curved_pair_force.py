@@ -151,6 +151,7 @@ def curved_pair_forces(contact_model: ContactModel, real: type, per_area: bool, 
                     column.depth = interval[1] - interval[0]
                     if column.depth <= double(0.0):
                         continue
+                    column.fraction = double(1.0)
                     column.weight = unit_area * RADIUS_WEIGHTS[i] * RADII[i] * limit * limit
                     # Columns stand on the second solid.
                     column.position = rotation * (base + (interval[1] - kappa * column.depth) * plane.normal)

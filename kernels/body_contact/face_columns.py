@@ -224,7 +224,8 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                     depth = depth_beyond_entry(
                         pending, bottom, geometries, side, face_plane, point.position[0], point.position[1], depth
                     )
-                weight = area * point.weight * column_weight(depth, overlap, side.half_space)
+                fraction = column_weight(depth, overlap, side.half_space)
+                weight = area * point.weight * fraction
                 # Rounding can make the depth at the boundary of a polygon negative.
                 if weight == double(0.0) or depth <= double(0.0):
                     continue
@@ -233,11 +234,14 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                     force_per_area = pressure(
                         env, dt, pair, depth, speed, coefficients, history_in, history_out, body_contacts
                     )
-                    in_polygon = with_sample(in_polygon, force_per_area, weight, depth, speed, point.position)
+                    in_polygon = with_sample(
+                        in_polygon, force_per_area, weight, fraction, depth, speed, point.position
+                    )
                 else:
                     column = Column()
                     column.depth = depth
                     column.weight = weight
+                    column.fraction = fraction
                     column.position = frame.to_W * point.position + frame.origin + side.kappa * depth * into_own
                     column.normal = normal
                     column.patch = patch

@@ -198,3 +198,24 @@ def test_body_contacts_of_different_sizes_are_recorded_together(device):
     assert recording["among.depth"].dims == ("time", "env", "among.item")
     assert recording["among.depth"].sizes["among.item"] == 3
     assert recording["on_ground.depth"].sizes["on_ground.item"] == 2
+
+
+@pytest.mark.parametrize("kind", ["mesh", "shape"])
+def test_largest_pressure_is_that_of_columns_that_carry(kind, device):
+    """Columns on side walls are longer than those of the contact, and do not carry."""
+    depth = 1e-3
+    scene = wc.Scene(gravity=(0, 0, 0))
+    body = scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(0.0985, 0, 0.1 - depth), name="body")
+    boxes = []
+    for number, carrier in enumerate((body, None)):
+        if kind == "shape":
+            boxes.append(scene.add_shape(carrier, wc.shapes.RoundedBox((0.05,) * 3), name=f"box_{number}"))
+        else:
+            boxes.append(scene.add_surface(wc.meshes.box((0.1,) * 3), body=carrier, name=f"box_{number}"))
+    scene.add_body_contact(*boxes, MATERIAL, name="press")
+    model = scene.build(envs=1, device=device, precision="float64")
+    # The overlap is 1.5 mm wide: columns on the walls have lengths of up to 1.5 D and count fully.
+    assert model.sensor("press.max_pressure")[0] == pytest.approx(1.5 * K * depth, rel=1e-6)
+    model["body.position"] = [[0.0965, 0, 0.1 - depth]]
+    # 3.5 mm wide: they count less than a sixth.
+    assert model.sensor("press.max_pressure")[0] == pytest.approx(K * depth, rel=1e-6)
