@@ -1,7 +1,7 @@
 """A wall of bricks without mortar is hit by a ball; bricks and ball are triangle meshes.
 
 One call puts every body in contact with every other one. Before the ball arrives, each course carries the weight of the courses
-above, and the ground that of all. From the impact on, the energy decreases until all bodies lie still.
+above, and the ground that of all. From the impact on, the energy decreases.
 
 Run it with ``python examples/brick_wall.py --usd bricks.usdc``.
 """
