@@ -370,7 +370,7 @@ def test_sizes_and_kinds_of_pairs_may_differ(device):
 @pytest.mark.parametrize("kind", list(SIZES))
 def test_open_surface_acts_as_a_half_space(kind, device):
     half_space = pressed(kind, wc.shapes.Plane(), 1, device)
-    # On a rim, or on the tip of a cone: the solid is not wider below the surface.
+    # On the edge of a flat end, or on the tip of a cone: the solid is not wider below the surface.
     half_space["body.orientation"] = Rotation.from_rotvec([3.1 if kind == "Cone" else 0.7, 0.0, 0.3]).as_quat()
     # The depth at z = 0 is the height of the origin above the lowest point.
     height = half_space.sensor("press.depth")[0]

@@ -118,7 +118,7 @@ def test_parts_of_any_shape_rest_and_hold_a_push(floor, seconds, device):
     for name, (_, _, depth) in parts.items():
         sunk = base[name] - model.sensor(f"{name}.position")[0, 2]
         if name == "hull":
-            # Faces beside the base meet the floor, too, and carry some of the weight.
+            # Faces next to the base touch the floor, too, and carry part of the weight.
             assert 0.8 * depth < sunk < depth
         else:
             assert sunk == pytest.approx(depth, abs=1e-9)
