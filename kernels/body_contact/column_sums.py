@@ -1,7 +1,7 @@
 """Sums over the columns of a pair: law and friction at each column, and force, torque and readings of the pair.
 
-A kernel finds the columns of its solids, adds each with ``add_column`` and stores the result with ``store_result``. If only the
-law acts at each column, it adds the sums over whole polygons with ``add_piece``.
+The columns of each kind of pair are added with ``add_column``, and ``store_result`` stores the result. If only the law acts at each
+column, the sums over whole polygons are added with ``add_piece``.
 """
 
 import functools
@@ -25,7 +25,7 @@ from warpcontact.kernels.contact.contact_evaluation import (
     kinematics_structs,
 )
 from warpcontact.kernels.frames import functions as frame_functions
-from warpcontact.kernels.types import CONTACT, structs
+from warpcontact.kernels.types import CONTACT, WRONG_SIDE, structs
 
 vec3d = wp.vec3d
 double = wp.float64
@@ -77,6 +77,16 @@ class ColumnSums:
 
 
 @wp.struct
+class PairColumns:
+    """Overlap of a pair, and the sums over its columns."""
+
+    status: wp.int32  # OPEN, CONTACT, WRONG_SIDE or DISABLED
+    depth: double  # D, 0 without overlap [m]
+    share: double  # weight of the columns on the second solid
+    sums: ColumnSums  # zero unless status is CONTACT
+
+
+@wp.struct
 class RelativeMotion:
     """Motion of the second body relative to the first; W."""
 
@@ -124,6 +134,17 @@ def with_sample(
 
 
 @wp.func
+def with_depth(columns: PairColumns, depth: double, setting: BodyContactSettings):
+    """Returns the columns of a pair with the depth of an overlap, and the status that follows from it."""
+    columns.depth = depth
+    if depth > double(0.0):
+        columns.status = CONTACT
+        if depth > setting.max_depth:
+            columns.status = WRONG_SIDE
+    return columns
+
+
+@wp.func
 def pair_of(pose: PairPose, solids: Solids, solid_1: int, solid_2: int, number: int):
     """Returns the ``Pair`` of two solids, whose columns are found in the frame of the second one."""
     pair = Pair()
@@ -152,8 +173,8 @@ class Functions(NamedTuple):
     #: ``(pair, piece, to_W, origin, into_own, kappa, normal, patch, sums, normals, patch_rows)``: returns the ``ColumnSums``
     #: with a polygon added, whose corners are at to_W · coordinates + origin. Friction acts on patches, or is absent.
     add_piece: wp.Function
-    #: ``(state, env, dt, pair, contact_status, depth, share, setting, coefficients, history_in, history_out, patches_out,
-    #: body_contacts, ends, end, sums, patch_rows)``: adds the friction of patches, and stores readings and wrenches.
+    #: ``(state, env, dt, pair, columns, setting, coefficients, history_in, history_out, patches_out, body_contacts, ends, end,
+    #: patch_rows)``: adds the friction of patches to the ``PairColumns``, and stores readings and wrenches.
     store_result: wp.Function
 
 
@@ -331,9 +352,7 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         env: int,
         dt: real,
         pair: Pair,
-        contact_status: int,
-        depth: double,
-        share: double,
+        columns: PairColumns,
         setting: BodyContactSettings,
         coefficients: Coefficients,
         history_in: MaterialHistory,
@@ -342,9 +361,10 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         body_contacts: BodyContacts,
         ends: EndWrenches,
         end: int,
-        sums: ColumnSums,
         patch_rows: wp.array2d(dtype=double),
     ):
+        sums = columns.sums
+        is_contact = columns.status == CONTACT
         # Factor from sums over the area to the force of the contact, without and with ``force_scale``.
         unscaled = double(1.0)
         approach_speed = double(0.0)
@@ -360,7 +380,7 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
             # A new patch cannot have slipped for longer than it took to reach this depth.
             max_elapsed = real(wp.inf)
             if body_contacts.entry_speed[env, pair.number] < real(0.0) and approach_speed > double(0.0):
-                max_elapsed = real(depth / approach_speed)
+                max_elapsed = real(columns.depth / approach_speed)
             # Not a constant, so that the loop is not unrolled.
             patch_count = wp.int32(PATCH_COUNT)
             for patch in range(patch_count):
@@ -396,13 +416,13 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
             center_W += to_float64(state.body_position[env, pair.body_1])
             center_W += to_float64(state.body_position_remainder[env, pair.body_1])
         number = pair.number
-        body_contacts.status[env, number] = contact_status
-        body_contacts.depth[env, number] = real(depth)
-        body_contacts.share[env, number] = real(wp.where(contact_status == CONTACT, share, double(0.0)))
+        body_contacts.status[env, number] = columns.status
+        body_contacts.depth[env, number] = real(columns.depth)
+        body_contacts.share[env, number] = real(wp.where(is_contact, columns.share, double(0.0)))
         body_contacts.area[env, number] = real(sums.area)
         body_contacts.volume[env, number] = real(sums.volume)
         body_contacts.normal[env, number] = from_float64(mean_normal_W)
-        body_contacts.center[env, number] = from_float64(wp.where(contact_status == CONTACT, center_W, vec3d()))
+        body_contacts.center[env, number] = from_float64(wp.where(is_contact, center_W, vec3d()))
         body_contacts.max_pressure[env, number] = real(scale * sums.max_pressure)
         body_contacts.approach_speed[env, number] = real(approach_speed)
         body_contacts.normal_force[env, number] = real(scale * sums.pressure)

@@ -1,4 +1,4 @@
-"""Force and torque of body contacts of a curved solid with a polyhedron or half-space.
+"""Columns of a curved solid and a polyhedron or half-space.
 
 Columns stand on the faces of the polyhedron, and on the sheets of the curved solid, with the shares and weights of
 ``overlap.py``. All of them cross a face of the polyhedron inside the curved solid, so they are integrated over sections of the
@@ -7,14 +7,23 @@ before, and the column down to the next exit is subtracted.
 
 On a half-space, the columns are those of the shadow of the solid, and their parts above the solid are subtracted: the sum of
 their lengths is the volume below the plane.
+
+From the outside in: ``columns_of_curved`` goes through the faces, ``add_face`` through the regions of a face, ``add_region`` through
+the strips of a region, ``add_strip`` through the columns of a strip.
 """
 
 import functools
 
 import warp as wp
-from warpcontact.kernels.body_contact import solids as solid_functions
-from warpcontact.kernels.body_contact.column_sums import Column, ColumnSums, column_functions, pair_of
-from warpcontact.kernels.body_contact.columns import face_frame, is_apart
+from warpcontact.kernels.body_contact.column_sums import (
+    Column,
+    ColumnSums,
+    Pair,
+    PairColumns,
+    column_functions,
+    with_depth,
+)
+from warpcontact.kernels.body_contact.columns import FaceFrame, face_frame, is_apart
 from warpcontact.kernels.body_contact.curved_columns import (
     ON_CURVED_SURFACE,
     ON_FACE,
@@ -28,10 +37,11 @@ from warpcontact.kernels.body_contact.curved_sections import (
     MAX_BREAKS,
     MAX_LIMITS,
     POINTS,
+    Region,
     find_breaks,
     find_limits,
+    has_points,
     interval_point,
-    is_narrow,
     panel_point,
     panel_point_count,
     steepness,
@@ -39,6 +49,7 @@ from warpcontact.kernels.body_contact.curved_sections import (
 from warpcontact.kernels.body_contact.curved_solids import (
     CONE,
     CURVED,
+    Section,
     column_interval,
     exit_depth_of,
     position_in_section,
@@ -53,298 +64,397 @@ from warpcontact.kernels.body_contact.face_trees import (
     start_traversal,
 )
 from warpcontact.kernels.body_contact.overlap import NO_WEIGHT, Overlap, column_weight
-from warpcontact.kernels.body_contact.patches import PATCH_COUNT, PATCH_SUMS, patch_of, start_patches
-from warpcontact.kernels.body_contact.polygons import CORNER_ROWS
-from warpcontact.kernels.body_contact.records import (
-    BodyContactSettings,
-    Patches,
-    SolidPairs,
-    body_contact_structs,
-)
+from warpcontact.kernels.body_contact.patches import patch_of
+from warpcontact.kernels.body_contact.polygons import CORNER_ROWS, Polygon
+from warpcontact.kernels.body_contact.records import BodyContactSettings, body_contact_structs
 from warpcontact.kernels.body_contact.solids import (
     HALF_SPACE,
     HAS_BOUNDARY,
     Geometries,
-    Solids,
+    PairPose,
+    RelativePose,
     inverse_pose,
     no_motion,
 )
 from warpcontact.kernels.body_contact.surface_queries import (
     OFFSET,
     PARALLEL,
-    SolidBoxes,
+    SolidGeometry,
     are_apart,
-    are_boxes_apart,
     is_face_outside,
-    solid_geometry,
 )
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.types import (
-    CONTACT,
-    DISABLED,
-    ENV_ACTIVE,
-    OPEN,
-    WRONG_SIDE,
-    LaunchRange,
-    structs,
-    task_count,
-    task_env,
-    task_item,
-)
+from warpcontact.kernels.types import CONTACT, OPEN, structs
 
 vec3d = wp.vec3d
 double = wp.float64
 
 
-@functools.cache
-def curved_contact_forces(contact_model: ContactModel, real: type, per_area: bool, has_joints: bool) -> wp.Kernel:
-    """Returns the force kernel of body contacts of a curved solid and a polyhedron or half-space; items: pairs.
+@wp.struct
+class CurvedSide:
+    """A curved solid and the polyhedron or half-space that it touches, in the frame of the latter."""
 
-    The arguments are those of ``force.contact_forces``.
+    curved: SolidGeometry
+    other: SolidGeometry
+    pose: RelativePose  # of the curved solid
+    other_in_W: RelativePose  # pose of the other solid in W axes, relative to the origin of the pair
+    kappa: double  # forces act at kappa × length of a column into the other solid
+    sign: double  # of the outward normals of faces: 1 if the other solid is the second one, −1 if it is the first
+    half_space: wp.bool  # whether the other solid is a half-space
+
+
+@wp.struct
+class BaseColumn:
+    """A column in the frame of the polyhedron; weight 0: there is none."""
+
+    base: vec3d  # [m]
+    normal: vec3d  # of the surface at the base, outward
+    depth: double  # [m]
+    weight: double  # of its area, without the weight of ``overlap.column_weight`` [m²]
+    is_on_sheet: wp.bool  # whether it stands on the curved solid
+
+
+@wp.func
+def curved_side(first: SolidGeometry, second: SolidGeometry, pose: PairPose, kappa: double):
+    """Returns the ``CurvedSide`` of a pair, one of which is curved."""
+    side = CurvedSide()
+    side.curved = first
+    side.other = second
+    side.pose = pose.first_in_second
+    side.other_in_W.rotation = pose.second_axes.rotation
+    side.kappa = kappa
+    side.sign = double(1.0)
+    if (first.flags & CURVED) == 0:
+        side.curved = second
+        side.other = first
+        side.pose = inverse_pose(pose.first_in_second)
+        side.other_in_W = pose.first_axes
+        side.kappa = double(1.0) - kappa
+        side.sign = double(-1.0)
+    side.half_space = (side.other.flags & HALF_SPACE) != 0
+    return side
+
+
+@wp.func
+def column_of_shadow(section: Section, region: Region, u: double, v: double, area: double, is_entry: bool):
+    """Returns the column at a point of the plane of a half-space, down to the exit or entry of the curved solid."""
+    column = BaseColumn()
+    interval = column_interval(section, region.profile, u, v)
+    if interval[0] > interval[1]:
+        return column
+    column.depth = interval[1]
+    column.weight = area
+    if is_entry:
+        column.depth = interval[0]
+        column.weight = -area
+    return column
+
+
+@wp.func
+def column_on_sheet(
+    pending: wp.array(dtype=wp.int32),
+    bottom: int,
+    geometries: Geometries,
+    side: CurvedSide,
+    overlap: Overlap,
+    frame: FaceFrame,
+    sheet_number: int,
+    position: vec3d,
+    area: double,
+):
+    """Returns the column of a sheet of the curved solid that crosses a face at ``position``."""
+    column = BaseColumn()
+    column.is_on_sheet = True
+    from_solid = wp.transpose(side.pose.rotation) * (position - side.pose.origin)
+    sheet = sheet_point(side.curved.flags, side.curved.scale, sheet_number, from_solid)
+    column.normal = side.pose.rotation * sheet.normal
+    column.base = position + sheet.depth * column.normal
+    cosine = wp.dot(column.normal, frame.normal)
+    if wp.abs(cosine) < PARALLEL or sheet.depth >= sheet.reach:
+        return column
+    column.depth = sheet.depth
+    column.weight = (overlap.share - double(1.0)) * area * cosine / sheet.area_ratio
+    if cosine > double(0.0):
+        # The column enters here: one down to the next exit is subtracted.
+        start = position - OFFSET * wp.length(side.other.half_extents) * column.normal
+        crossing = first_crossing(pending, bottom, geometries, side.other, start, -column.normal, True)
+        column.depth += crossing.distance
+    column.weight = column.weight * reach_weight(column.depth, sheet.reach)
+    return column
+
+
+@wp.func
+def is_interval_deep(
+    side: CurvedSide, section: Section, u: double, limits: wp.array(dtype=double), interval: int, overlap: Overlap
+):
+    """Returns whether an interval is at depths below the curved surface from which columns have no weight."""
+    middle = double(0.5) * (limits[interval] + limits[interval + 1])
+    position = position_in_section(section, u, middle) - side.pose.origin
+    sheet = sheet_point(side.curved.flags, side.curved.scale, 0, wp.transpose(side.pose.rotation) * position)
+    return sheet.depth >= NO_WEIGHT * overlap.depth
+
+
+@functools.cache
+def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_joints: bool) -> wp.Function:
+    """Returns the device function that finds the overlap of a pair, and integrates its columns.
+
+    For its arguments and results, see ``polyhedron_force.pair_columns``.
     """
     t = structs(real)
-    Model, State, EndWrenches = t.Model, t.State, t.EndWrenches
+    Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     has_patches = bool(contact_model.friction.memories)
-    second_fraction = contact_model.law.second_fraction
-    columns = column_functions(contact_model, real, per_area, has_joints)
-    add_column, store_result = columns.add_column, columns.store_result
-    pair_pose = solid_functions.functions(real).pair_pose
+    add_column = column_functions(contact_model, real, per_area, has_joints).add_column
 
-    @unique_kernel()
-    def curved_body_contact_forces(
-        launch: LaunchRange,
-        status: wp.array(dtype=wp.int32),
+    @wp.func
+    def add_strip(
         model: Model,
         state: State,
-        step: wp.array2d(dtype=real),  # [env, 0] duration over which the force acts [s]; 0: instantaneous force
-        first_pair: wp.int32,  # pair of the first item
-        first_end: wp.int32,
+        env: int,
+        dt: real,
+        pair: Pair,
         geometries: Geometries,
-        solids: Solids,
-        boxes: SolidBoxes,
-        pairs: SolidPairs,
-        settings: wp.array2d(dtype=BodyContactSettings),
+        side: CurvedSide,
+        overlap: Overlap,
+        frame: FaceFrame,
+        section: Section,
+        region: Region,
+        kind: int,
+        u: double,
+        u_weight: double,
+        limits: wp.array(dtype=double),
+        limit_count: int,
+        pending: wp.array(dtype=wp.int32),
+        bottom: int,
         coefficients: Coefficients,
         history_in: MaterialHistory,
         history_out: MaterialHistory,
-        patches_in: Patches,
-        patches_out: Patches,
         body_contacts: BodyContacts,
-        ends: EndWrenches,
+        sums: ColumnSums,
+        normals: wp.array2d(dtype=double),
+        patch_rows: wp.array2d(dtype=double),
     ):
+        """Adds the columns of the strip of a region at ``u``."""
+        flags = side.curved.flags
+        steep = double(0.0)
+        if kind == ON_FACE:
+            steep = steepness(section, region.profile, u, limits, limit_count)
+        is_deep = wp.bool(False)
+        # On a half-space, twice: down to the exit, and to the entry.
+        samples = (limit_count - 1) * POINTS
+        for sample in range(wp.where(side.half_space, 2 * samples, samples)):
+            j = sample % samples
+            if region.inner_count == 2 and j % POINTS == 0:
+                is_deep = is_interval_deep(side, section, u, limits, j // POINTS, overlap)
+            if is_deep:
+                continue
+            v, v_weight = interval_point(limits, j // POINTS, j % POINTS, steep)
+            area = section.area * u_weight * v_weight
+            position = position_in_section(section, u, v)
+            base = BaseColumn()
+            if side.half_space:
+                base = column_of_shadow(section, region, u, v, area, sample >= samples)
+            elif kind == ON_FACE:
+                base.depth = exit_depth_of(section, flags, side.curved.scale, u, v)
+                base.weight = overlap.share * area
+            else:
+                base = column_on_sheet(
+                    pending, bottom, geometries, side, overlap, frame, kind - ON_CURVED_SURFACE, position, area
+                )
+            kappa = double(1.0) - side.kappa
+            sign = -side.sign
+            if not base.is_on_sheet:
+                base.base = position
+                base.normal = frame.normal
+                kappa = side.kappa
+                sign = side.sign
+            column = Column()
+            column.depth = base.depth
+            column.fraction = column_weight(column.depth, overlap, side.half_space)
+            column.weight = base.weight * column.fraction
+            # Rounding can make the depth at the boundary of a section negative.
+            if column.weight == double(0.0) or column.depth <= double(0.0):
+                continue
+            column.normal = sign * (side.other_in_W.rotation * base.normal)
+            column.position = side.other_in_W.origin + side.other_in_W.rotation * (
+                base.base - kappa * column.depth * base.normal
+            )
+            if wp.static(has_patches):
+                column.patch = patch_of(normals, pair.to_axes * column.normal)
+            sums = add_column(
+                model, state, env, dt, pair, column, coefficients, history_in, history_out, body_contacts, sums,
+                normals, patch_rows,
+            )  # fmt: skip
+        return sums
+
+    @wp.func
+    def add_region(
+        model: Model,
+        state: State,
+        env: int,
+        dt: real,
+        pair: Pair,
+        geometries: Geometries,
+        side: CurvedSide,
+        overlap: Overlap,
+        frame: FaceFrame,
+        section: Section,
+        region: Region,
+        kind: int,
+        corners: wp.array2d(dtype=double),
+        polygon: Polygon,
+        breaks: wp.array2d(dtype=double),
+        limits: wp.array(dtype=double),
+        pending: wp.array(dtype=wp.int32),
+        bottom: int,
+        coefficients: Coefficients,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
+        body_contacts: BodyContacts,
+        sums: ColumnSums,
+        normals: wp.array2d(dtype=double),
+        patch_rows: wp.array2d(dtype=double),
+    ):
+        """Adds the columns of one region of a face."""
+        break_count = find_breaks(breaks, section, region, corners, polygon)
+        width = width_squared(section, region.profile, double(0.0), double(0.0))
+        for panel in range(break_count - 1):
+            if not has_points(breaks, panel, limits, section, region, corners, polygon):
+                continue
+            for i in range(panel_point_count(breaks, panel)):
+                u, u_weight = panel_point(breaks, panel, i, width)
+                limit_count = find_limits(limits, section, region, u, corners, polygon)
+                if limit_count == 0:
+                    continue
+                sums = add_strip(
+                    model, state, env, dt, pair, geometries, side, overlap, frame, section, region, kind, u, u_weight,
+                    limits, limit_count, pending, bottom, coefficients, history_in, history_out, body_contacts, sums,
+                    normals, patch_rows,
+                )  # fmt: skip
+        return sums
+
+    @wp.func
+    def add_face(
+        model: Model,
+        state: State,
+        env: int,
+        dt: real,
+        pair: Pair,
+        geometries: Geometries,
+        side: CurvedSide,
+        overlap: Overlap,
+        kind_count: int,
+        margin: double,
+        face: int,
+        corners: wp.array2d(dtype=double),
+        breaks: wp.array2d(dtype=double),
+        limits: wp.array(dtype=double),
+        pending: wp.array(dtype=wp.int32),
+        bottom: int,
+        coefficients: Coefficients,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
+        body_contacts: BodyContacts,
+        sums: ColumnSums,
+        normals: wp.array2d(dtype=double),
+        patch_rows: wp.array2d(dtype=double),
+    ):
+        """Adds the columns that cross one face: on the face, and on the sheets of the curved solid (``kind_count`` > 1)."""
+        flags = side.curved.flags
+        scale = side.curved.scale
+        frame = face_frame(geometries, side.other, side.curved, side.pose, face)
+        reached = side.curved
+        reached.half_extents += vec3d(margin, margin, margin)
+        if is_apart(frame, reached):
+            return sums
+        depth_of_weights = overlap.depth
+        if side.half_space:
+            depth_of_weights = double(wp.inf)
+        section = section_of(flags, scale, side.pose, frame.origin, frame.u_axis, frame.normal)
+        face_polygon = store_face(corners, frame, section)
+        for kind in range(kind_count):
+            if kind == ON_FACE and overlap.share == double(0.0):
+                continue
+            for number in range(region_count(flags, kind)):
+                region = region_of(flags, scale, kind, number, section, depth_of_weights)
+                polygon = polygon_of_region(
+                    corners, face_polygon, frame, flags, scale, side.pose, kind, number, overlap.depth
+                )
+                if polygon.count == 0 and not side.half_space:
+                    continue
+                sums = add_region(
+                    model, state, env, dt, pair, geometries, side, overlap, frame, section, region, kind, corners,
+                    polygon, breaks, limits, pending, bottom, coefficients, history_in, history_out, body_contacts,
+                    sums, normals, patch_rows,
+                )  # fmt: skip
+        return sums
+
+    @wp.func
+    def columns_of_curved(
+        model: Model,
+        state: State,
+        env: int,
+        dt: real,
+        pair: Pair,
+        pose: PairPose,
+        geometries: Geometries,
+        first: SolidGeometry,
+        second: SolidGeometry,
+        setting: BodyContactSettings,
+        kappa: double,
+        coefficients: Coefficients,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
+        body_contacts: BodyContacts,
+        normals: wp.array2d(dtype=double),
+        patch_rows: wp.array2d(dtype=double),
+    ):
+        corners = wp.zeros(shape=(CORNER_ROWS, 3), dtype=double)
         breaks = wp.zeros(shape=(MAX_BREAKS, 3), dtype=double)
         limits = wp.zeros(shape=(MAX_LIMITS,), dtype=double)
-        corners = wp.zeros(shape=(CORNER_ROWS, 3), dtype=double)
         pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
-        normals = wp.zeros(shape=(PATCH_COUNT, 3), dtype=double)
-        patch_rows = wp.zeros(shape=(PATCH_COUNT, PATCH_SUMS), dtype=double)
-        for task in range(wp.tid(), task_count(launch), launch.threads):
-            env = task_env(launch, task)
-            number = first_pair + task_item(launch, task)
-            if status[env] != ENV_ACTIVE:
-                continue
-            setting = settings[env, number]
-            solid_1 = pairs.first[number]
-            solid_2 = pairs.second[number]
-            first = solid_geometry(geometries, solids.pose[env, solid_1])
-            second = solid_geometry(geometries, solids.pose[env, solid_2])
-            if ((first.flags & CURVED) != 0) == ((second.flags & CURVED) != 0):
-                continue
-            contact_status = wp.int32(OPEN)
-            if setting.enabled == 0:
-                contact_status = DISABLED
-            is_near = contact_status == OPEN and not are_boxes_apart(
-                boxes.box[env, solid_1], boxes.box[env, solid_2]
-            )
-            if not is_near and body_contacts.status[env, number] == contact_status:
-                # Readings and wrenches are zero already.
-                continue
-            pose = pair_pose(state, env, solids, solid_1, solid_2)
-            pair = pair_of(pose, solids, solid_1, solid_2, number)
-            is_first = (first.flags & CURVED) != 0  # whether the first solid is the curved one
-            curved = first
-            other = second
-            curved_pose = pose.first_in_second
-            rotation = pose.second_axes.rotation
-            origin = vec3d()
-            # Out of the second solid: normals of faces with this sign, normals of sheets with the opposite one.
-            sign = double(1.0)
-            kappa = setting.kappa
-            if wp.static(second_fraction is not None):
-                kappa = double(second_fraction(coefficients.law[env, number]))
-            if not is_first:
-                curved = second
-                other = first
-                curved_pose = inverse_pose(pose.first_in_second)
-                rotation = pose.first_axes.rotation
-                origin = pose.first_axes.origin
-                sign = double(-1.0)
-                kappa = double(1.0) - kappa
-            flags = curved.flags
-            scale = curved.scale
-            to_curved = wp.transpose(curved_pose.rotation)
-            half_space = (other.flags & HALF_SPACE) != 0
+        result = PairColumns()
+        result.status = OPEN
+        side = curved_side(first, second, pose, kappa)
+        if not side.half_space and are_apart(first, second, pose.first_in_second, double(0.0)):
+            return result
+        # Its share is that of the polyhedron.
+        overlap = curved_overlap_of(
+            breaks, limits, corners, pending, geometries, side.curved, side.other, side.pose
+        )
+        is_first = side.sign > double(0.0)  # whether the first solid is the curved one
+        if setting.reference >= double(0.0) and (side.other.flags & (HALF_SPACE | HAS_BOUNDARY)) == 0:
+            overlap.share = wp.where(is_first, setting.reference, double(1.0) - setting.reference)
+        result.share = wp.where(is_first, overlap.share, double(1.0) - overlap.share)
+        result = with_depth(result, overlap.depth, setting)
+        if result.status != CONTACT:
+            return result
+        kind_count = wp.int32(1)
+        if not side.half_space and overlap.share < double(1.0):
+            kind_count = 1 + sheet_count(side.curved.flags)
+        # Columns of a cone may leave it before they leave the polyhedron.
+        margin = double(0.0)
+        if kind_count > 1 and (side.curved.flags & CONE) != 0:
+            margin = NO_WEIGHT * overlap.depth
+        box = box_of_curved(side.curved, side.other, side.pose, margin)
+        sums = result.sums
+        top = start_traversal(pending, 0, side.other)
+        while top > 0:
+            leaf = next_leaf_in_box(pending, 0, top, geometries, side.other, no_motion(), box)
+            top = leaf.top
+            for face in range(leaf.first_face, leaf.end_face):
+                if not side.half_space and is_face_outside(geometries, side.other, face, box):
+                    continue
+                sums = add_face(
+                    model, state, env, dt, pair, geometries, side, overlap, kind_count, margin, face, corners, breaks,
+                    limits, pending, top, coefficients, history_in, history_out, body_contacts, sums, normals,
+                    patch_rows,
+                )  # fmt: skip
+        if side.half_space:
+            # Parts wholly below the plane have columns that cancel: the area is that of the exits.
+            sums.area = double(0.5) * (sums.area + sums.gross_area)
+        result.sums = sums
+        return result
 
-            overlap = Overlap()
-            if is_near and not half_space:
-                is_near = not are_apart(first, second, pose.first_in_second, double(0.0))
-            if is_near:
-                overlap = curved_overlap_of(
-                    breaks, limits, corners, pending, geometries, curved, other, curved_pose
-                )
-                if setting.reference >= double(0.0) and (other.flags & (HALF_SPACE | HAS_BOUNDARY)) == 0:
-                    overlap.share = setting.reference
-                    if not is_first:
-                        overlap.share = double(1.0) - setting.reference
-                if overlap.depth > double(0.0):
-                    contact_status = CONTACT
-                    if overlap.depth > setting.max_depth:
-                        contact_status = WRONG_SIDE
-
-            sums = ColumnSums()
-            if wp.static(has_patches):
-                start_patches(normals, patch_rows, patches_in, env, number)
-            kind_count = wp.int32(1)
-            if not half_space and overlap.share < double(1.0):
-                kind_count = 1 + sheet_count(flags)
-            # Columns of a cone may leave it before they leave the polyhedron.
-            reached = curved
-            margin = double(0.0)
-            if kind_count > 1 and (flags & CONE) != 0:
-                margin = NO_WEIGHT * overlap.depth
-                reached.half_extents += vec3d(margin, margin, margin)
-            depth_of_weights = overlap.depth
-            if half_space:
-                depth_of_weights = double(wp.inf)
-            box = box_of_curved(curved, other, curved_pose, margin)
-            top = wp.int32(0)
-            if contact_status == CONTACT:
-                top = start_traversal(pending, 0, other)
-            while top > 0:
-                leaf = next_leaf_in_box(pending, 0, top, geometries, other, no_motion(), box)
-                top = leaf.top
-                for face in range(leaf.first_face, leaf.end_face):
-                    if not half_space:
-                        if is_face_outside(geometries, other, face, box):
-                            continue
-                    frame = face_frame(geometries, other, curved, curved_pose, face)
-                    if is_apart(frame, reached):
-                        continue
-                    section = section_of(flags, scale, curved_pose, frame.origin, frame.u_axis, frame.normal)
-                    face_polygon = store_face(corners, frame, section)
-                    for kind in range(kind_count):
-                        if kind == ON_FACE and overlap.share == double(0.0):
-                            continue
-                        is_deep = wp.bool(False)
-                        for number_of_region in range(region_count(flags, kind)):
-                            region = region_of(flags, scale, kind, number_of_region, section, depth_of_weights)
-                            polygon = polygon_of_region(
-                                corners, face_polygon, frame, flags, scale, curved_pose, kind, number_of_region,
-                                overlap.depth,
-                            )  # fmt: skip
-                            if polygon.count == 0 and not half_space:
-                                continue
-                            break_count = find_breaks(breaks, section, region, corners, polygon)
-                            width = width_squared(section, region.profile, double(0.0), double(0.0))
-                            for panel in range(break_count - 1):
-                                if is_narrow(breaks, panel):
-                                    continue
-                                middle = double(0.5) * (breaks[panel, 0] + breaks[panel + 1, 0])
-                                if find_limits(limits, section, region, middle, corners, polygon) == 0:
-                                    continue
-                                for i in range(panel_point_count(breaks, panel)):
-                                    u, u_weight = panel_point(breaks, panel, i, width)
-                                    limit_count = find_limits(limits, section, region, u, corners, polygon)
-                                    if limit_count == 0:
-                                        continue
-                                    steep = double(0.0)
-                                    if kind == ON_FACE:
-                                        steep = steepness(section, region.profile, u, limits, limit_count)
-                                    # On a half-space, twice: down to the exit, and to the entry.
-                                    samples = (limit_count - 1) * POINTS
-                                    for sample in range(wp.where(half_space, 2 * samples, samples)):
-                                        j = sample % samples
-                                        if region.inner_count == 2 and j % POINTS == 0:
-                                            # Intervals are divided at depths from which columns have no weight.
-                                            between = double(0.5) * (limits[j // POINTS] + limits[j // POINTS + 1])
-                                            position = position_in_section(section, u, between)
-                                            is_deep = (
-                                                sheet_point(
-                                                    flags, scale, 0, to_curved * (position - curved_pose.origin)
-                                                ).depth
-                                                >= NO_WEIGHT * overlap.depth
-                                            )
-                                        if is_deep:
-                                            continue
-                                        v, v_weight = interval_point(limits, j // POINTS, j % POINTS, steep)
-                                        area = section.area * u_weight * v_weight
-                                        position = position_in_section(section, u, v)
-                                        column = Column()
-                                        normal = frame.normal
-                                        base = position
-                                        own_kappa = kappa
-                                        own_sign = sign
-                                        if half_space:
-                                            interval = column_interval(section, region.profile, u, v)
-                                            if interval[0] > interval[1]:
-                                                continue
-                                            column.depth = interval[1]
-                                            column.weight = area
-                                            if sample >= samples:
-                                                column.depth = interval[0]
-                                                column.weight = -area
-                                        elif kind == ON_FACE:
-                                            column.depth = exit_depth_of(section, flags, scale, u, v)
-                                            column.weight = overlap.share * area
-                                        else:
-                                            position_c = to_curved * (position - curved_pose.origin)
-                                            sheet = sheet_point(flags, scale, kind - ON_CURVED_SURFACE, position_c)
-                                            normal = curved_pose.rotation * sheet.normal
-                                            base = position + sheet.depth * normal
-                                            own_kappa = double(1.0) - kappa
-                                            own_sign = -sign
-                                            cosine = wp.dot(normal, frame.normal)
-                                            column.depth = sheet.depth
-                                            column.weight = (
-                                                (overlap.share - double(1.0)) * area * cosine / sheet.area_ratio
-                                            )
-                                            if wp.abs(cosine) < PARALLEL or sheet.depth >= sheet.reach:
-                                                continue
-                                            if cosine > double(0.0):
-                                                # The column enters here: one down to the next exit is subtracted.
-                                                start = position - OFFSET * wp.length(other.half_extents) * normal
-                                                crossing = first_crossing(
-                                                    pending, top, geometries, other, start, -normal, True
-                                                )
-                                                column.depth += crossing.distance
-                                            column.weight = column.weight * reach_weight(column.depth, sheet.reach)
-                                        column.fraction = column_weight(column.depth, overlap, half_space)
-                                        column.weight = column.weight * column.fraction
-                                        # Rounding can make the depth at the boundary of a section negative.
-                                        if column.weight == double(0.0) or column.depth <= double(0.0):
-                                            continue
-                                        column.normal = own_sign * (rotation * normal)
-                                        column.position = origin + rotation * (
-                                            base - own_kappa * column.depth * normal
-                                        )
-                                        if wp.static(has_patches):
-                                            column.patch = patch_of(normals, pair.to_axes * column.normal)
-                                        sums = add_column(
-                                            model, state, env, step[env, 0], pair, column, coefficients, history_in,
-                                            history_out, body_contacts, sums, normals, patch_rows,
-                                        )  # fmt: skip
-            share = overlap.share
-            if not is_first:
-                share = double(1.0) - share
-            if half_space:
-                # Parts wholly below the plane have columns that cancel: the area is that of the exits.
-                sums.area = double(0.5) * (sums.area + sums.gross_area)
-            store_result(
-                state, env, step[env, 0], pair, contact_status, overlap.depth, share, setting, coefficients,
-                history_in, history_out, patches_out, body_contacts, ends, first_end + 2 * number, sums, patch_rows,
-            )  # fmt: skip
-
-    return curved_body_contact_forces
+    return columns_of_curved

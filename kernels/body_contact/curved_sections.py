@@ -444,3 +444,20 @@ def is_narrow(breaks: wp.array2d(dtype=double), panel: int):
     start = breaks[panel, 0]
     end = breaks[panel + 1, 0]
     return end - start <= NARROW * wp.max(wp.abs(start), wp.abs(end))
+
+
+@wp.func
+def has_points(
+    breaks: wp.array2d(dtype=double),
+    panel: int,
+    limits: wp.array(dtype=double),
+    section: Section,
+    region: Region,
+    corners: wp.array2d(dtype=double),
+    polygon: Polygon,
+):
+    """Returns whether a panel has points of the region; overwrites ``limits``. For the arguments, see ``find_limits``."""
+    if is_narrow(breaks, panel):
+        return False
+    middle = double(0.5) * (breaks[panel, 0] + breaks[panel + 1, 0])
+    return find_limits(limits, section, region, middle, corners, polygon) > 0

@@ -18,8 +18,6 @@ from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTa
 from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.body_contact import acceptance, bounds, force
-from warpcontact.kernels.body_contact.curved_force import curved_contact_forces
-from warpcontact.kernels.body_contact.curved_pair_force import curved_pair_forces
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT
 from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
@@ -41,8 +39,6 @@ if TYPE_CHECKING:
 # Bytes of a pair in the cache of a core: two solids and the results.
 PAIR_BYTES = 500
 _PURPOSE = "body contacts"
-# By number of curved solids of a pair.
-_KERNELS = (force.contact_forces, curved_contact_forces, curved_pair_forces)
 _RANGES = {
     "kappa": limits_of.KAPPA,
     "max_depth": limits_of.MAX_DEPTH,
@@ -103,10 +99,10 @@ class BodyContactSet(ForceElement):
         }
         self.count: int = starts[-1]
         has_joints = context.has_joints and self.parts.law.needs_mass
-        # Each kernel skips the pairs of the other one.
+        # Each kernel skips the pairs of the others.
         curved_counts = {sum(is_curved(one) for one in pair) for each in contacts for pair in each.pairs}
         self.kernels = tuple(
-            _KERNELS[count](self.parts, self.real, contacts[0].per_area, has_joints)
+            force.contact_forces(self.parts, self.real, contacts[0].per_area, has_joints, count)
             for count in sorted(curved_counts)
         )
         numbers = np.array([[tables.number(one) for one in pair] for each in contacts for pair in each.pairs])
