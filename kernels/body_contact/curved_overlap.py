@@ -10,10 +10,11 @@ from warpcontact.kernels.body_contact.columns import FaceFrame, face_frame, is_a
 from warpcontact.kernels.body_contact.curved_columns import ON_FACE, region_of, store_face
 from warpcontact.kernels.body_contact.curved_sections import (
     POINTS,
+    Region,
     find_breaks,
     find_limits,
+    has_points,
     interval_point,
-    is_narrow,
     panel_point,
     panel_point_count,
     steepness,
@@ -309,6 +310,198 @@ def depth_below_half_space(curved: SolidGeometry, pose: RelativePose):
     return reach_along(curved.flags, curved.scale, down) - pose.origin[2]
 
 
+@wp.struct
+class FaceSection:
+    """The section of a face with a curved solid."""
+
+    area: double  # [m²]
+    moment: vec3d  # of its area [m³]
+    curved_area: double  # sum over all faces so far of the area of the curved surface behind them [m²]
+
+
+@wp.struct
+class OverlapSums:
+    """Sums over the faces of a polyhedron that cross a curved solid."""
+
+    depth: double  # D of all faces so far [m]
+    area: double  # of faces inside the curved solid [m²]
+    area_vector: vec3d  # likewise, times their normals [m²]
+    curved_area: double  # of the curved surface behind faces [m²]
+    on_ends: double  # of faces, times the component of their normals along the axis [m²]
+    crossings: double  # of the axis: number at which it leaves the polyhedron, less those at which it enters
+    axis_area: double  # sum of ``axis_measure`` over these crossings [m²]
+
+
+@wp.func
+def add_strip(
+    sums: FaceSection,
+    curved: SolidGeometry,
+    pose: RelativePose,
+    section: Section,
+    region: Region,
+    normal_c: vec3d,
+    u: double,
+    u_weight: double,
+    limits: wp.array(dtype=double),
+    limit_count: int,
+):
+    """Returns the ``FaceSection`` with the strip of a region at ``u`` added; ``normal_c``: of the face, in the curved solid."""
+    lower = limits[0]
+    upper = limits[limit_count - 1]
+    if region.has_axis:
+        sums.area += u_weight * (upper - lower)
+        middle_of_strip = position_in_section(section, u, double(0.5) * (lower + upper))
+        sums.moment += u_weight * (upper - lower) * middle_of_strip
+        sums.curved_area -= u_weight * seen_from_axis(curved.flags, curved.scale, section, u, lower, upper)
+        return sums
+    to_curved = wp.transpose(pose.rotation)
+    steep = steepness(section, region.profile, u, limits, limit_count)
+    for j in range((limit_count - 1) * POINTS):
+        v, v_weight = interval_point(limits, j // POINTS, j % POINTS, steep)
+        weight = section.area * u_weight * v_weight
+        position = position_in_section(section, u, v)
+        position_c = to_curved * (position - pose.origin)
+        sums.area += weight
+        sums.moment += weight * position
+        sums.curved_area -= weight * seen_from_center(curved.flags, curved.scale, position_c, normal_c)
+    return sums
+
+
+@wp.func
+def add_region(
+    sums: FaceSection,
+    breaks: wp.array2d(dtype=double),
+    limits: wp.array(dtype=double),
+    corners: wp.array2d(dtype=double),
+    polygon: Polygon,
+    curved: SolidGeometry,
+    pose: RelativePose,
+    section: Section,
+    region: Region,
+    normal_c: vec3d,
+):
+    """Returns the ``FaceSection`` with one region of a face added."""
+    break_count = find_breaks(breaks, section, region, corners, polygon)
+    width = width_squared(section, region.profile, double(0.0), double(0.0))
+    for panel in range(break_count - 1):
+        if not has_points(breaks, panel, limits, section, region, corners, polygon):
+            continue
+        for i in range(panel_point_count(breaks, panel)):
+            u, u_weight = panel_point(breaks, panel, i, width)
+            limit_count = find_limits(limits, section, region, u, corners, polygon)
+            if limit_count > 0:
+                sums = add_strip(sums, curved, pose, section, region, normal_c, u, u_weight, limits, limit_count)
+    return sums
+
+
+@wp.func
+def add_axis_crossing(
+    sums: OverlapSums,
+    geometries: Geometries,
+    curved: SolidGeometry,
+    other: SolidGeometry,
+    pose: RelativePose,
+    face: int,
+    frame: FaceFrame,
+):
+    """Returns the sums with the crossing of the axis of a curved solid, not an ellipsoid, with a face."""
+    axis = vec3d(pose.rotation[0, 2], pose.rotation[1, 2], pose.rotation[2, 2])
+    along = wp.dot(frame.normal, axis)
+    if wp.abs(along) <= PARALLEL_AXIS:
+        return sums
+    z = wp.dot(frame.normal, frame.origin - pose.origin) / along
+    ends = axis_ends(curved.flags, curved.scale)
+    if z < ends[0] or z > ends[1]:
+        return sums
+    if is_on_face(geometries, other, face, pose.origin + z * axis):
+        leaves = wp.sign(along)
+        sums.crossings += leaves
+        sums.axis_area += leaves * axis_measure(curved.flags, curved.scale, z)
+    return sums
+
+
+@wp.func
+def axis_ends(flags: int, scale: vec3d):
+    """Returns z of both ends of the axis of a curved solid, without the half balls of a capsule [m]."""
+    if flags & CONE:
+        return wp.vec2d(double(0.0), scale[2])
+    if flags & CAPSULE:
+        return wp.vec2d(scale[0] - scale[2], scale[2] - scale[0])
+    return wp.vec2d(-scale[2], scale[2])
+
+
+@wp.func
+def add_face(
+    sums: OverlapSums,
+    breaks: wp.array2d(dtype=double),
+    limits: wp.array(dtype=double),
+    corners: wp.array2d(dtype=double),
+    pending: wp.array(dtype=wp.int32),
+    bottom: int,
+    geometries: Geometries,
+    curved: SolidGeometry,
+    other: SolidGeometry,
+    pose: RelativePose,
+    face: int,
+):
+    """Returns the sums with one face of the polyhedron ``other`` added; for the arguments, see ``curved_overlap_of``."""
+    flags = curved.flags
+    scale = curved.scale
+    frame = face_frame(geometries, other, curved, pose, face)
+    if is_apart(frame, curved):
+        return sums
+    to_curved = wp.transpose(pose.rotation)
+    normal_c = to_curved * frame.normal
+    section = section_of(flags, scale, pose, frame.origin, frame.u_axis, frame.normal)
+    polygon = store_face(corners, frame, section)
+    on_face = FaceSection()
+    on_face.curved_area = sums.curved_area
+    for part in range(part_count(flags)):
+        region = region_of(flags, scale, ON_FACE, part, section, double(0.0))
+        region.has_axis = (flags & ELLIPSOID) == 0 and part == 0
+        on_face = add_region(on_face, breaks, limits, corners, polygon, curved, pose, section, region, normal_c)
+    sums.curved_area = on_face.curved_area
+    if on_face.area == double(0.0):
+        return sums
+    # No point of the face is deeper than the solid reaches below the face.
+    offset = to_curved * (frame.origin - pose.origin)
+    if wp.dot(normal_c, offset) + reach_along(flags, scale, -normal_c) > sums.depth:
+        center = on_face.moment / on_face.area
+        depth = depth_at_face(
+            corners, polygon, pending, bottom, geometries, curved, other, pose, frame, section, center
+        )
+        sums.depth = wp.max(sums.depth, depth)
+    sums.area += on_face.area
+    sums.area_vector += on_face.area * frame.normal
+    sums.on_ends += on_face.area * normal_c[2]
+    if (flags & ELLIPSOID) == 0:
+        sums = add_axis_crossing(sums, geometries, curved, other, pose, face, frame)
+    return sums
+
+
+@wp.func
+def area_of_curved(flags: int, scale: vec3d, sums: OverlapSums):
+    """Returns the area of the surface of a curved solid inside the polyhedron [m²]."""
+    axis_area = sums.axis_area
+    ends = axis_ends(flags, scale)
+    # The axis is inside at its lower end if it leaves more often than it enters, and at its upper end likewise.
+    if sums.crossings > double(0.0):
+        axis_area -= sums.crossings * axis_measure(flags, scale, ends[0])
+    elif sums.crossings < double(0.0):
+        axis_area -= sums.crossings * axis_measure(flags, scale, ends[1])
+    if flags & CAPSULE:
+        # Likewise the center of a half ball.
+        axis_area += wp.abs(sums.crossings) * TWO_PI * scale[0] * scale[0]
+    area = wp.abs(axis_area + sums.curved_area)
+    if flags & CYLINDER:
+        area += wp.abs(sums.on_ends)
+    elif flags & CONE:
+        # Lines along the axis leave through the base as often as they enter it or the curved surface.
+        sine = scale[0] / wp.sqrt(scale[0] * scale[0] + scale[2] * scale[2])
+        area += wp.max(sums.on_ends + sine * area, double(0.0))
+    return area
+
+
 @wp.func
 def curved_overlap_of(
     breaks: wp.array2d(dtype=double),
@@ -337,125 +530,30 @@ def curved_overlap_of(
     if other.flags & HALF_SPACE:
         result.depth = depth_below_half_space(curved, pose)
         return result
-    flags = curved.flags
-    scale = curved.scale
-    to_curved = wp.transpose(pose.rotation)
-    axis = vec3d(pose.rotation[0, 2], pose.rotation[1, 2], pose.rotation[2, 2])
-    lower_end = -scale[2]
-    upper_end = scale[2]
-    if flags & CONE:
-        lower_end = double(0.0)
-    if flags & CAPSULE:
-        lower_end = scale[0] - scale[2]
-        upper_end = -lower_end
-    # Areas inside the other solid: faces, curved surface, flat ends.
-    area = double(0.0)
-    area_vector = vec3d()
-    curved_area = double(0.0)
-    on_ends = double(0.0)
-    axis_area = double(0.0)
-    crossings = double(0.0)
+    sums = OverlapSums()
     box = box_of_curved(curved, other, pose, double(0.0))
     top = start_traversal(pending, 0, other)
     while top > 0:
         leaf = next_leaf_in_box(pending, 0, top, geometries, other, no_motion(), box)
         top = leaf.top
         for face in range(leaf.first_face, leaf.end_face):
-            if is_face_outside(geometries, other, face, box):
-                continue
-            frame = face_frame(geometries, other, curved, pose, face)
-            if is_apart(frame, curved):
-                continue
-            normal_c = to_curved * frame.normal
-            section = section_of(flags, scale, pose, frame.origin, frame.u_axis, frame.normal)
-            polygon = store_face(corners, frame, section)
-            face_area = double(0.0)
-            face_moment = vec3d()
-            for part in range(part_count(flags)):
-                region = region_of(flags, scale, ON_FACE, part, section, double(0.0))
-                is_around_axis = (flags & ELLIPSOID) == 0 and part == 0
-                region.has_axis = is_around_axis
-                break_count = find_breaks(breaks, section, region, corners, polygon)
-                width = width_squared(section, region.profile, double(0.0), double(0.0))
-                for panel in range(break_count - 1):
-                    if is_narrow(breaks, panel):
-                        continue
-                    middle = double(0.5) * (breaks[panel, 0] + breaks[panel + 1, 0])
-                    if find_limits(limits, section, region, middle, corners, polygon) == 0:
-                        continue
-                    for i in range(panel_point_count(breaks, panel)):
-                        u, u_weight = panel_point(breaks, panel, i, width)
-                        limit_count = find_limits(limits, section, region, u, corners, polygon)
-                        if limit_count == 0:
-                            continue
-                        steep = steepness(section, region.profile, u, limits, limit_count)
-                        lower = limits[0]
-                        upper = limits[limit_count - 1]
-                        if is_around_axis:
-                            face_area += u_weight * (upper - lower)
-                            middle_of_strip = position_in_section(section, u, double(0.5) * (lower + upper))
-                            face_moment += u_weight * (upper - lower) * middle_of_strip
-                            curved_area -= u_weight * seen_from_axis(flags, scale, section, u, lower, upper)
-                            continue
-                        steep = steepness(section, region.profile, u, limits, limit_count)
-                        for j in range((limit_count - 1) * POINTS):
-                            v, v_weight = interval_point(limits, j // POINTS, j % POINTS, steep)
-                            weight = section.area * u_weight * v_weight
-                            position = position_in_section(section, u, v)
-                            position_c = to_curved * (position - pose.origin)
-                            face_area += weight
-                            face_moment += weight * position
-                            curved_area -= weight * seen_from_center(flags, scale, position_c, normal_c)
-            if face_area == double(0.0):
-                continue
-            # No point of the face is deeper than the solid reaches below the face.
-            offset = to_curved * (frame.origin - pose.origin)
-            if wp.dot(normal_c, offset) + reach_along(flags, scale, -normal_c) > result.depth:
-                center = face_moment / face_area
-                depth = depth_at_face(
-                    corners, polygon, pending, top, geometries, curved, other, pose, frame, section, center
-                )
-                result.depth = wp.max(result.depth, depth)
-            area += face_area
-            area_vector += face_area * frame.normal
-            on_ends += face_area * normal_c[2]
-            along = wp.dot(frame.normal, axis)
-            if (flags & ELLIPSOID) == 0 and wp.abs(along) > PARALLEL_AXIS:
-                z = wp.dot(frame.normal, frame.origin - pose.origin) / along
-                if z >= lower_end and z <= upper_end:
-                    if is_on_face(geometries, other, face, pose.origin + z * axis):
-                        leaves = wp.sign(along)
-                        crossings += leaves
-                        axis_area += leaves * axis_measure(flags, scale, z)
+            if not is_face_outside(geometries, other, face, box):
+                sums = add_face(sums, breaks, limits, corners, pending, top, geometries, curved, other, pose, face)
+    result.depth = sums.depth
     if (other.flags & HAS_BOUNDARY) != 0:
         return result
-    flat = wp.length(area_vector)
+    flat = wp.length(sums.area_vector)
     if flat > double(0.0):
         # Also of the support points along the mean normal.
-        for i in range(support_count(flags)):
-            below = depth_of_support(pending, geometries, curved, other, pose, area_vector / flat, i)
+        for i in range(support_count(curved.flags)):
+            below = depth_of_support(pending, geometries, curved, other, pose, sums.area_vector / flat, i)
             result.depth = wp.max(result.depth, below)
-    # The axis is inside at its lower end if it leaves more often than it enters, and at its upper end likewise.
-    if crossings > double(0.0):
-        axis_area -= crossings * axis_measure(flags, scale, lower_end)
-    elif crossings < double(0.0):
-        axis_area -= crossings * axis_measure(flags, scale, upper_end)
-    if flags & CAPSULE:
-        # Likewise the center of a half ball.
-        axis_area += wp.abs(crossings) * TWO_PI * scale[0] * scale[0]
-    curved_area = wp.abs(axis_area + curved_area)
-    if flags & CYLINDER:
-        curved_area += wp.abs(on_ends)
-    elif flags & CONE:
-        # Lines along the axis leave through the base as often as they enter it or the curved surface.
-        sine = scale[0] / wp.sqrt(scale[0] * scale[0] + scale[2] * scale[2])
-        curved_area += wp.max(on_ends + sine * curved_area, double(0.0))
-    deviation = wp.max(curved_area - flat, double(0.0))
-    other_deviation = wp.max(area - flat, double(0.0))
-    if other_deviation > FLAT * area:
+    deviation = wp.max(area_of_curved(curved.flags, curved.scale, sums) - flat, double(0.0))
+    other_deviation = wp.max(sums.area - flat, double(0.0))
+    if other_deviation > FLAT * sums.area:
         # Columns on the curved surface are not defined at depths near its radius of curvature.
         own_share = other_deviation / (deviation + other_deviation)
         result.share = double(1.0) - own_share * reach_weight(
-            double(2.0) * result.depth, least_reach(flags, scale)
+            double(2.0) * result.depth, least_reach(curved.flags, curved.scale)
         )
     return result
