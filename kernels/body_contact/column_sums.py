@@ -61,8 +61,11 @@ class Column:
 
 @wp.struct
 class ColumnSums:
-    """Sums over the columns of a pair; W."""
+    """Overlap of a pair, and sums over its columns, which are zero unless it is in contact; W."""
 
+    status: wp.int32  # OPEN, CONTACT, WRONG_SIDE or DISABLED
+    depth: double  # D of the overlap, 0 without [m]
+    share: double  # weight of the columns on the second solid
     area: double  # [m²]
     volume: double  # [m³]
     pressure: double  # integral of the normal force per area [N]
@@ -74,16 +77,6 @@ class ColumnSums:
     torque_1: vec3d  # on the first body, about its center of mass [N·m]
     torque_2: vec3d  # on the second body, about its center of mass [N·m]
     moment: vec3d  # of pressure, from the center of mass of the first body [N·m]
-
-
-@wp.struct
-class PairColumns:
-    """Overlap of a pair, and the sums over its columns."""
-
-    status: wp.int32  # OPEN, CONTACT, WRONG_SIDE or DISABLED
-    depth: double  # D, 0 without overlap [m]
-    share: double  # weight of the columns on the second solid
-    sums: ColumnSums  # zero unless status is CONTACT
 
 
 @wp.struct
@@ -134,14 +127,14 @@ def with_sample(
 
 
 @wp.func
-def with_depth(columns: PairColumns, depth: double, setting: BodyContactSettings):
-    """Returns the columns of a pair with the depth of an overlap, and the status that follows from it."""
-    columns.depth = depth
+def with_depth(sums: ColumnSums, depth: double, setting: BodyContactSettings):
+    """Returns the sums of a pair with the depth of the overlap, and the status that follows from it."""
+    sums.depth = depth
     if depth > double(0.0):
-        columns.status = CONTACT
+        sums.status = CONTACT
         if depth > setting.max_depth:
-            columns.status = WRONG_SIDE
-    return columns
+            sums.status = WRONG_SIDE
+    return sums
 
 
 @wp.func
@@ -173,8 +166,8 @@ class Functions(NamedTuple):
     #: ``(pair, piece, to_W, origin, into_own, kappa, normal, patch, sums, normals, patch_rows)``: returns the ``ColumnSums``
     #: with a polygon added, whose corners are at to_W · coordinates + origin. Friction acts on patches, or is absent.
     add_piece: wp.Function
-    #: ``(state, env, dt, pair, columns, setting, coefficients, history_in, history_out, patches_out, body_contacts, ends, end,
-    #: patch_rows)``: adds the friction of patches to the ``PairColumns``, and stores readings and wrenches.
+    #: ``(state, env, dt, pair, sums, setting, coefficients, history_in, history_out, patches_out, body_contacts, ends, end,
+    #: patch_rows)``: adds the friction of patches to the ``ColumnSums``, and stores readings and wrenches.
     store_result: wp.Function
 
 
@@ -352,7 +345,7 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         env: int,
         dt: real,
         pair: Pair,
-        columns: PairColumns,
+        sums: ColumnSums,
         setting: BodyContactSettings,
         coefficients: Coefficients,
         history_in: MaterialHistory,
@@ -363,8 +356,7 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         end: int,
         patch_rows: wp.array2d(dtype=double),
     ):
-        sums = columns.sums
-        is_contact = columns.status == CONTACT
+        is_contact = sums.status == CONTACT
         # Factor from sums over the area to the force of the contact, without and with ``force_scale``.
         unscaled = double(1.0)
         approach_speed = double(0.0)
@@ -380,7 +372,7 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
             # A new patch cannot have slipped for longer than it took to reach this depth.
             max_elapsed = real(wp.inf)
             if body_contacts.entry_speed[env, pair.number] < real(0.0) and approach_speed > double(0.0):
-                max_elapsed = real(columns.depth / approach_speed)
+                max_elapsed = real(sums.depth / approach_speed)
             # Not a constant, so that the loop is not unrolled.
             patch_count = wp.int32(PATCH_COUNT)
             for patch in range(patch_count):
@@ -416,9 +408,9 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
             center_W += to_float64(state.body_position[env, pair.body_1])
             center_W += to_float64(state.body_position_remainder[env, pair.body_1])
         number = pair.number
-        body_contacts.status[env, number] = columns.status
-        body_contacts.depth[env, number] = real(columns.depth)
-        body_contacts.share[env, number] = real(wp.where(is_contact, columns.share, double(0.0)))
+        body_contacts.status[env, number] = sums.status
+        body_contacts.depth[env, number] = real(sums.depth)
+        body_contacts.share[env, number] = real(wp.where(is_contact, sums.share, double(0.0)))
         body_contacts.area[env, number] = real(sums.area)
         body_contacts.volume[env, number] = real(sums.volume)
         body_contacts.normal[env, number] = from_float64(mean_normal_W)

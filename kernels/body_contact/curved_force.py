@@ -19,7 +19,6 @@ from warpcontact.kernels.body_contact.column_sums import (
     Column,
     ColumnSums,
     Pair,
-    PairColumns,
     column_functions,
     with_depth,
 )
@@ -34,8 +33,6 @@ from warpcontact.kernels.body_contact.curved_columns import (
 )
 from warpcontact.kernels.body_contact.curved_overlap import box_of_curved, curved_overlap_of
 from warpcontact.kernels.body_contact.curved_sections import (
-    MAX_BREAKS,
-    MAX_LIMITS,
     POINTS,
     Region,
     find_breaks,
@@ -58,14 +55,13 @@ from warpcontact.kernels.body_contact.curved_solids import (
 )
 from warpcontact.kernels.body_contact.curved_surfaces import reach_weight, sheet_count, sheet_point
 from warpcontact.kernels.body_contact.face_trees import (
-    PENDING_NODES,
     first_crossing,
     next_leaf_in_box,
     start_traversal,
 )
 from warpcontact.kernels.body_contact.overlap import NO_WEIGHT, Overlap, column_weight
 from warpcontact.kernels.body_contact.patches import patch_of
-from warpcontact.kernels.body_contact.polygons import CORNER_ROWS, Polygon
+from warpcontact.kernels.body_contact.polygons import Polygon
 from warpcontact.kernels.body_contact.records import BodyContactSettings, body_contact_structs
 from warpcontact.kernels.body_contact.solids import (
     HALF_SPACE,
@@ -403,6 +399,13 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         second: SolidGeometry,
         setting: BodyContactSettings,
         kappa: double,
+        corners: wp.array2d(dtype=double),
+        planes: wp.array2d(dtype=double),
+        exits: wp.array2d(dtype=double),
+        least_depths: wp.array(dtype=double),
+        breaks: wp.array2d(dtype=double),
+        limits: wp.array(dtype=double),
+        pending: wp.array(dtype=wp.int32),
         coefficients: Coefficients,
         history_in: MaterialHistory,
         history_out: MaterialHistory,
@@ -410,15 +413,11 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         normals: wp.array2d(dtype=double),
         patch_rows: wp.array2d(dtype=double),
     ):
-        corners = wp.zeros(shape=(CORNER_ROWS, 3), dtype=double)
-        breaks = wp.zeros(shape=(MAX_BREAKS, 3), dtype=double)
-        limits = wp.zeros(shape=(MAX_LIMITS,), dtype=double)
-        pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
-        result = PairColumns()
-        result.status = OPEN
+        sums = ColumnSums()
+        sums.status = OPEN
         side = curved_side(first, second, pose, kappa)
         if not side.half_space and are_apart(first, second, pose.first_in_second, double(0.0)):
-            return result
+            return sums
         # Its share is that of the polyhedron.
         overlap = curved_overlap_of(
             breaks, limits, corners, pending, geometries, side.curved, side.other, side.pose
@@ -426,10 +425,10 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         is_first = side.sign > double(0.0)  # whether the first solid is the curved one
         if setting.reference >= double(0.0) and (side.other.flags & (HALF_SPACE | HAS_BOUNDARY)) == 0:
             overlap.share = wp.where(is_first, setting.reference, double(1.0) - setting.reference)
-        result.share = wp.where(is_first, overlap.share, double(1.0) - overlap.share)
-        result = with_depth(result, overlap.depth, setting)
-        if result.status != CONTACT:
-            return result
+        sums.share = wp.where(is_first, overlap.share, double(1.0) - overlap.share)
+        sums = with_depth(sums, overlap.depth, setting)
+        if sums.status != CONTACT:
+            return sums
         kind_count = wp.int32(1)
         if not side.half_space and overlap.share < double(1.0):
             kind_count = 1 + sheet_count(side.curved.flags)
@@ -438,7 +437,6 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         if kind_count > 1 and (side.curved.flags & CONE) != 0:
             margin = NO_WEIGHT * overlap.depth
         box = box_of_curved(side.curved, side.other, side.pose, margin)
-        sums = result.sums
         top = start_traversal(pending, 0, side.other)
         while top > 0:
             leaf = next_leaf_in_box(pending, 0, top, geometries, side.other, no_motion(), box)
@@ -454,7 +452,6 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         if side.half_space:
             # Parts wholly below the plane have columns that cancel: the area is that of the exits.
             sums.area = double(0.5) * (sums.area + sums.gross_area)
-        result.sums = sums
-        return result
+        return sums
 
     return columns_of_curved

@@ -3,7 +3,7 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.body_contact.column_sums import Column, Pair, PairColumns, column_functions, with_depth
+from warpcontact.kernels.body_contact.column_sums import Column, ColumnSums, Pair, column_functions, with_depth
 from warpcontact.kernels.body_contact.curved_pairs import (
     ANGLE_STEP,
     DIRECTIONS,
@@ -52,6 +52,13 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         second: SolidGeometry,
         setting: BodyContactSettings,
         kappa: double,
+        corners: wp.array2d(dtype=double),
+        planes: wp.array2d(dtype=double),
+        exits: wp.array2d(dtype=double),
+        least_depths: wp.array(dtype=double),
+        breaks: wp.array2d(dtype=double),
+        limits: wp.array(dtype=double),
+        pending: wp.array(dtype=wp.int32),
         coefficients: Coefficients,
         history_in: MaterialHistory,
         history_out: MaterialHistory,
@@ -59,10 +66,10 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         normals: wp.array2d(dtype=double),
         patch_rows: wp.array2d(dtype=double),
     ):
-        result = PairColumns()
-        result.status = OPEN
+        sums = ColumnSums()
+        sums.status = OPEN
         if are_apart(first, second, pose.first_in_second, double(0.0)):
-            return result
+            return sums
         solids = CurvedPair()
         solids.first = first
         solids.second = second
@@ -71,12 +78,11 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         solids.size += wp.length(second.half_extents)
         plane = common_plane(solids)
         if not plane.is_found:
-            return result
-        result.share = double(0.5)
-        result = with_depth(result, plane.largest_depth, setting)
-        if result.status != CONTACT:
-            return result
-        sums = result.sums
+            return sums
+        sums.share = double(0.5)
+        sums = with_depth(sums, plane.largest_depth, setting)
+        if sums.status != CONTACT:
+            return sums
         rotation = pose.second_axes.rotation
         column = Column()
         column.normal = rotation * plane.normal
@@ -103,7 +109,6 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
                     model, state, env, dt, pair, column, coefficients, history_in, history_out, body_contacts, sums,
                     normals, patch_rows,
                 )  # fmt: skip
-        result.sums = sums
-        return result
+        return sums
 
     return columns_of_curved_pair

@@ -9,16 +9,20 @@ import functools
 import warp as wp
 from warpcontact.kernels.body_contact import curved_force, curved_pair_force, polyhedron_force
 from warpcontact.kernels.body_contact import solids as solid_functions
-from warpcontact.kernels.body_contact.column_sums import PairColumns, column_functions, pair_of
+from warpcontact.kernels.body_contact.column_sums import ColumnSums, column_functions, pair_of
+from warpcontact.kernels.body_contact.curved_sections import MAX_BREAKS, MAX_LIMITS
 from warpcontact.kernels.body_contact.curved_solids import CURVED
+from warpcontact.kernels.body_contact.face_trees import PENDING_NODES
+from warpcontact.kernels.body_contact.overlap import LEAST_DEPTHS
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT, PATCH_SUMS, start_patches
+from warpcontact.kernels.body_contact.polygons import CORNER_ROWS
 from warpcontact.kernels.body_contact.records import (
     BodyContactSettings,
     Patches,
     SolidPairs,
     body_contact_structs,
 )
-from warpcontact.kernels.body_contact.solids import Geometries, Solids
+from warpcontact.kernels.body_contact.solids import MAX_PLANES, Geometries, Solids
 from warpcontact.kernels.body_contact.surface_queries import (
     SolidBoxes,
     SolidGeometry,
@@ -78,6 +82,9 @@ def contact_forces(
     columns_of_pair = _KINDS[curved_count].pair_columns(contact_model, real, per_area, has_joints)
     store_result = column_functions(contact_model, real, per_area, has_joints).store_result
     pair_pose = solid_functions.functions(real).pair_pose
+    # Lengths of the arrays of a thread that only one kind of pair uses. They are cleared once per thread, not per pair.
+    plane_rows, depth_count = (MAX_PLANES, LEAST_DEPTHS) if curved_count == 0 else (1, 1)
+    break_rows, limit_count = (MAX_BREAKS, MAX_LIMITS) if curved_count == 1 else (1, 1)
 
     @unique_kernel()
     def body_contact_forces(
@@ -101,6 +108,13 @@ def contact_forces(
         body_contacts: BodyContacts,
         ends: EndWrenches,
     ):
+        corners = wp.zeros(shape=(CORNER_ROWS, 3), dtype=double)
+        planes = wp.zeros(shape=(plane_rows, 4), dtype=double)
+        exits = wp.zeros(shape=(plane_rows, 2), dtype=double)
+        least_depths = wp.zeros(shape=(depth_count,), dtype=double)
+        breaks = wp.zeros(shape=(break_rows, 3), dtype=double)
+        limits = wp.zeros(shape=(limit_count,), dtype=double)
+        pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
         normals = wp.zeros(shape=(PATCH_COUNT, 3), dtype=double)
         patch_rows = wp.zeros(shape=(PATCH_COUNT, PATCH_SUMS), dtype=double)
         for task in range(wp.tid(), task_count(launch), launch.threads):
@@ -111,12 +125,12 @@ def contact_forces(
             setting = settings[env, number]
             solid_1 = pairs.first[number]
             solid_2 = pairs.second[number]
-            columns = PairColumns()
-            columns.status = wp.where(setting.enabled == 0, DISABLED, OPEN)
+            sums = ColumnSums()
+            sums.status = wp.where(setting.enabled == 0, DISABLED, OPEN)
             is_near = setting.enabled != 0 and not are_boxes_apart(
                 boxes.box[env, solid_1], boxes.box[env, solid_2]
             )
-            if not is_near and body_contacts.status[env, number] == columns.status:
+            if not is_near and body_contacts.status[env, number] == sums.status:
                 # Readings and wrenches are zero already.
                 continue
             first = solid_geometry(geometries, solids.pose[env, solid_1])
@@ -131,12 +145,13 @@ def contact_forces(
                 kappa = setting.kappa
                 if wp.static(second_fraction is not None):
                     kappa = double(second_fraction(coefficients.law[env, number]))
-                columns = columns_of_pair(
-                    model, state, env, step[env, 0], pair, pose, geometries, first, second, setting, kappa, coefficients,
-                    history_in, history_out, body_contacts, normals, patch_rows,
+                sums = columns_of_pair(
+                    model, state, env, step[env, 0], pair, pose, geometries, first, second, setting, kappa, corners, planes,
+                    exits, least_depths, breaks, limits, pending, coefficients, history_in, history_out, body_contacts,
+                    normals, patch_rows,
                 )  # fmt: skip
             store_result(
-                state, env, step[env, 0], pair, columns, setting, coefficients, history_in, history_out, patches_out,
+                state, env, step[env, 0], pair, sums, setting, coefficients, history_in, history_out, patches_out,
                 body_contacts, ends, first_end + 2 * number, patch_rows,
             )  # fmt: skip
 

@@ -5,22 +5,20 @@ import functools
 import warp as wp
 from warpcontact.kernels.body_contact import face_columns
 from warpcontact.kernels.body_contact.column_sums import (
+    ColumnSums,
     Pair,
-    PairColumns,
     column_functions,
     with_depth,
 )
 from warpcontact.kernels.body_contact.columns import ramp_height
 from warpcontact.kernels.body_contact.convex_columns import store_planes
 from warpcontact.kernels.body_contact.face_columns import column_side, other_box
-from warpcontact.kernels.body_contact.face_trees import PENDING_NODES, next_leaf_in_box, start_traversal
-from warpcontact.kernels.body_contact.overlap import LEAST_DEPTHS, NO_WEIGHT, least_depth_of_face, overlap_of
-from warpcontact.kernels.body_contact.polygons import CORNER_ROWS
+from warpcontact.kernels.body_contact.face_trees import next_leaf_in_box, start_traversal
+from warpcontact.kernels.body_contact.overlap import NO_WEIGHT, least_depth_of_face, overlap_of
 from warpcontact.kernels.body_contact.records import BodyContactSettings, body_contact_structs
 from warpcontact.kernels.body_contact.solids import (
     HALF_SPACE,
     HAS_BOUNDARY,
-    MAX_PLANES,
     Geometries,
     PairPose,
     no_motion,
@@ -36,10 +34,11 @@ double = wp.float64
 def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_joints: bool) -> wp.Function:
     """Returns the device function that finds the overlap of two solids, and integrates their columns.
 
-    Its arguments are (model, state, env, dt, pair, pose, geometries, first, second, setting, kappa, coefficients, history_in,
-    history_out, body_contacts, normals, patch_rows); it returns the ``PairColumns``. ``kappa`` is the fraction of the length of
-    a column, from the second solid, at which its force acts. ``normals`` and ``patch_rows`` are those of the patches, see
-    ``patches.py``. For the arguments of the factory, see ``force.contact_forces``.
+    Its arguments are (model, state, env, dt, pair, pose, geometries, first, second, setting, kappa, corners, planes, exits,
+    least_depths, breaks, limits, pending, coefficients, history_in, history_out, body_contacts, normals, patch_rows); it returns
+    the ``ColumnSums``. ``kappa`` is the fraction of the length of a column, from the second solid, at which its force acts. The
+    arrays from ``corners`` to ``pending`` are room of the thread, of which each kind of pair uses a part. ``normals`` and
+    ``patch_rows`` are those of the patches, see ``patches.py``. For the arguments of the factory, see ``force.contact_forces``.
     """
     t = structs(real)
     Model, State = t.Model, t.State
@@ -61,6 +60,13 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         second: SolidGeometry,
         setting: BodyContactSettings,
         kappa: double,
+        corners: wp.array2d(dtype=double),
+        planes: wp.array2d(dtype=double),
+        exits: wp.array2d(dtype=double),
+        least_depths: wp.array(dtype=double),
+        breaks: wp.array2d(dtype=double),
+        limits: wp.array(dtype=double),
+        pending: wp.array(dtype=wp.int32),
         coefficients: Coefficients,
         history_in: MaterialHistory,
         history_out: MaterialHistory,
@@ -68,29 +74,23 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         normals: wp.array2d(dtype=double),
         patch_rows: wp.array2d(dtype=double),
     ):
-        corners = wp.zeros(shape=(CORNER_ROWS, 3), dtype=double)
-        planes = wp.zeros(shape=(MAX_PLANES, 4), dtype=double)
-        exits = wp.zeros(shape=(MAX_PLANES, 2), dtype=double)
-        least_depths = wp.zeros(shape=(LEAST_DEPTHS,), dtype=double)
-        pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
-        result = PairColumns()
-        result.status = OPEN
+        sums = ColumnSums()
+        sums.status = OPEN
         half_space = (second.flags & HALF_SPACE) != 0
         second_is_reference = (second.flags & (HALF_SPACE | HAS_BOUNDARY)) != 0
         margin = ramp_height(first) + ramp_height(second)
         if not half_space and are_apart(first, second, pose.first_in_second, margin):
-            return result
+            return sums
         overlap = overlap_of(
             corners, planes, exits, least_depths, pending, geometries, first, second, pose.first_in_second
         )
         if setting.reference >= double(0.0) and not second_is_reference:
             overlap.share = setting.reference
-        result.share = overlap.share
-        result = with_depth(result, overlap.depth, setting)
-        if result.status != CONTACT:
-            return result
+        sums.share = overlap.share
+        sums = with_depth(sums, overlap.depth, setting)
+        if sums.status != CONTACT:
+            return sums
         motion = relative_motion(state, env, pair)
-        sums = result.sums
         sides = wp.where(second_is_reference, 1, 2)
         for number_of_side in range(sides):
             side = column_side(first, second, pose, overlap, kappa, number_of_side)
@@ -115,7 +115,6 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         if half_space:
             # Parts wholly below the plane have columns that cancel: the area is that of the exits.
             sums.area = double(0.5) * (sums.area + sums.gross_area)
-        result.sums = sums
-        return result
+        return sums
 
     return columns_of_polyhedra
