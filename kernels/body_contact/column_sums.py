@@ -1,7 +1,7 @@
-"""Sums over the columns of a pair: law and friction at each column, and force, torque and readings of the pair.
+"""Sums over the columns of a pair: law and friction at each column.
 
-The columns of each kind of pair are added with ``add_column``, and ``store_result`` stores the result. If only the law acts at each
-column, the sums over whole polygons are added with ``add_piece``.
+The columns of each kind of pair are added with ``add_column``. If only the law acts at each column, the sums over whole polygons are
+added with ``add_piece``. What acts on patches, and the results, are in ``pair_results.py``.
 """
 
 import functools
@@ -9,14 +9,13 @@ from typing import NamedTuple
 
 import warp as wp
 from warpcontact.kernels.body_contact.patches import (
-    PATCH_COUNT,
+    PatchDepths,
+    add_depths_to_patch,
     add_moments_to_patch,
     row_vector,
     set_row,
-    shape_of_patch,
 )
-from warpcontact.kernels.body_contact.patches import functions as patch_functions
-from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, body_contact_structs
+from warpcontact.kernels.body_contact.records import BodyContactSettings, body_contact_structs
 from warpcontact.kernels.body_contact.solids import PairPose, Solids
 from warpcontact.kernels.contact.contact_evaluation import (
     ContactModel,
@@ -29,8 +28,6 @@ from warpcontact.kernels.types import CONTACT, WRONG_SIDE, structs
 
 vec3d = wp.vec3d
 double = wp.float64
-# Area of the columns, relative to the sum of the magnitudes of its parts, below which it counts as zero.
-CANCELLED = wp.constant(double(1.0e-9))
 
 
 @wp.struct
@@ -166,9 +163,6 @@ class Functions(NamedTuple):
     #: ``(pair, piece, to_W, origin, into_own, kappa, normal, patch, sums, normals, patch_rows)``: returns the ``ColumnSums``
     #: with a polygon added, whose corners are at to_W · coordinates + origin. Friction acts on patches, or is absent.
     add_piece: wp.Function
-    #: ``(state, env, dt, pair, sums, setting, coefficients, history_in, history_out, patches_out, body_contacts, ends, end,
-    #: patch_rows)``: adds the friction of patches to the ``ColumnSums``, and stores readings and wrenches.
-    store_result: wp.Function
 
 
 @functools.cache
@@ -176,23 +170,21 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
     """Returns the device functions for one contact model.
 
     Args:
-        contact_model: Classes of law and friction models. The law has no history variables. A friction model with history
-            variables acts once per patch, another one at each column.
+        contact_model: Classes of law and friction models. If the law has history variables, both act once per patch. Otherwise
+            the law acts at each column, and so does a friction model without history variables.
         real: Precision of state, law and friction. Geometry is in float64.
         per_area: Whether the law is a pressure; otherwise its mean over the area of the columns is the normal force.
         has_joints: Whether the effective mass includes the joints of bodies.
     """
     t = structs(real)
-    vec3, quat, Model, State, EndWrenches = t.vec3, t.quat, t.Model, t.State, t.EndWrenches
+    vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
     ContactKinematics = kinematics_structs(real).ContactKinematics
-    has_patches = bool(contact_model.friction.memories)
+    has_patches, has_law_history = contact_model.acts_per_patch, bool(contact_model.law.memories)
     evaluation = functions(contact_model, real, has_joints, has_friction=not has_patches)
     evaluate_contact, force_of_law = evaluation.evaluate_contact, evaluation.force_of_law
     NormalState = t.NormalState
-    friction = patch_functions(contact_model.friction, real)
-    friction_of_patch, clear_history = friction.friction, friction.clear_history
     frame = frame_functions(real)
     to_float64, from_float64, velocity_at = frame.to_float64, frame.from_float64, frame.velocity_at
 
@@ -254,6 +246,46 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         return sums
 
     @wp.func
+    def add_depth_of_column(
+        model: Model,
+        state: State,
+        env: int,
+        dt: real,
+        pair: Pair,
+        column: Column,
+        coefficients: Coefficients,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
+        body_contacts: BodyContacts,
+        sums: ColumnSums,
+        normals: wp.array2d(dtype=double),
+        patch_rows: wp.array2d(dtype=double),
+    ):
+        """Adds a column to the sums of a law with history, which acts at the end, once per patch."""
+        arm_1 = pair.arm_1 + column.position
+        arm_2 = pair.arm_2 + column.position
+        velocity = velocity_at(state, env, pair.body_2, from_float64(arm_2)) - velocity_at(
+            state, env, pair.body_1, from_float64(arm_1)
+        )
+        sums.area += column.weight
+        sums.volume += column.weight * column.depth
+        sums.gross_area += wp.abs(column.weight)
+        sums.approach += column.weight * wp.dot(to_float64(velocity), column.normal)
+        if wp.length_sq(row_vector(normals, column.patch)) == double(0.0):
+            set_row(normals, column.patch, pair.to_axes * column.normal)
+        volume = column.weight * column.depth
+        second = volume * wp.outer(arm_1, arm_1)
+        add_moments_to_patch(patch_rows, column.patch, volume, volume * arm_1, second, column.normal)
+        depths = PatchDepths()
+        depths.area = column.weight
+        depths.gross_area = wp.abs(column.weight)
+        depths.squares = volume * column.depth
+        depths.turning = volume * wp.cross(arm_1, column.normal)
+        depths.largest = column.fraction * column.depth
+        add_depths_to_patch(patch_rows, column.patch, depths)
+        return sums
+
+    @wp.func
     def angular_velocity(state: State, env: int, body: int):
         if body < 0:
             return vec3d()
@@ -269,6 +301,21 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
             state, env, pair.body_1
         )
         return motion
+
+    @wp.func
+    def depth_as_pressure(
+        env: int,
+        dt: real,
+        pair: Pair,
+        depth: double,
+        approach: double,
+        coefficients: Coefficients,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
+        body_contacts: BodyContacts,
+    ):
+        """Returns the depth: a law with history acts at the end, and its pressure is proportional to depths."""
+        return depth
 
     @wp.func
     def pressure(
@@ -316,14 +363,15 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
         moment_1 = moment + piece.pressure * pair.arm_1
         sums.area += piece.area
         sums.volume += piece.volume
-        sums.pressure += piece.pressure
-        sums.max_pressure = wp.max(sums.max_pressure, piece.max_pressure)
         sums.gross_area += piece.gross_area
         sums.approach += piece.approach
-        sums.force += piece.pressure * normal
-        sums.torque_1 += wp.cross(moment_1, normal)
-        sums.torque_2 -= wp.cross(moment + piece.pressure * pair.arm_2, normal)
-        sums.moment += moment_1
+        if wp.static(not has_law_history):
+            sums.pressure += piece.pressure
+            sums.max_pressure = wp.max(sums.max_pressure, piece.max_pressure)
+            sums.force += piece.pressure * normal
+            sums.torque_1 += wp.cross(moment_1, normal)
+            sums.torque_2 -= wp.cross(moment + piece.pressure * pair.arm_2, normal)
+            sums.moment += moment_1
         if wp.static(has_patches):
             if wp.length_sq(row_vector(normals, patch)) == double(0.0):
                 set_row(normals, patch, pair.to_axes * normal)
@@ -337,93 +385,16 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
             )
             second += piece.pressure * wp.outer(center, center)
             add_moments_to_patch(patch_rows, patch, piece.pressure, moment_1, second, normal)
+        if wp.static(has_law_history):
+            depths = PatchDepths()
+            depths.area = piece.area
+            depths.gross_area = piece.gross_area
+            depths.squares = piece.depth_moment
+            depths.turning = wp.cross(moment_1, normal)
+            depths.largest = piece.max_pressure
+            add_depths_to_patch(patch_rows, patch, depths)
         return sums
 
-    @wp.func
-    def store_result(
-        state: State,
-        env: int,
-        dt: real,
-        pair: Pair,
-        sums: ColumnSums,
-        setting: BodyContactSettings,
-        coefficients: Coefficients,
-        history_in: MaterialHistory,
-        history_out: MaterialHistory,
-        patches_out: Patches,
-        body_contacts: BodyContacts,
-        ends: EndWrenches,
-        end: int,
-        patch_rows: wp.array2d(dtype=double),
-    ):
-        is_contact = sums.status == CONTACT
-        # Factor from sums over the area to the force of the contact, without and with ``force_scale``.
-        unscaled = double(1.0)
-        approach_speed = double(0.0)
-        # Columns that cancel leave rounding errors, which have no mean.
-        if sums.area > CANCELLED * sums.gross_area:
-            approach_speed = sums.approach / sums.area
-            if wp.static(not per_area):
-                unscaled = double(1.0) / sums.area
-        elif wp.static(not per_area):
-            unscaled = double(0.0)
-        scale = unscaled * setting.force_scale
-        if wp.static(has_patches):
-            # A new patch cannot have slipped for longer than it took to reach this depth.
-            max_elapsed = real(wp.inf)
-            if body_contacts.entry_speed[env, pair.number] < real(0.0) and approach_speed > double(0.0):
-                max_elapsed = real(sums.depth / approach_speed)
-            # Not a constant, so that the loop is not unrolled.
-            patch_count = wp.int32(PATCH_COUNT)
-            for patch in range(patch_count):
-                member = PATCH_COUNT * pair.number + patch
-                patch_shape = shape_of_patch(patch_rows, patch)
-                if patch_shape.normal_force <= double(0.0) or unscaled == double(0.0):
-                    patches_out.normal[env, member] = vec3d()
-                    clear_history(history_out.friction, env, member, dt)
-                    continue
-                patches_out.normal[env, member] = pair.to_axes * patch_shape.normal
-                # The sums are per area, or per contact; the force of the contact is ``scale`` times that.
-                patch_shape.normal_force = patch_shape.normal_force * unscaled
-                arm_2 = patch_shape.center - pair.arm_1 + pair.arm_2
-                wrench = friction_of_patch(
-                    state, env, pair.body_1, pair.body_2, patch_shape.center, arm_2, patch_shape,
-                    coefficients.friction[env, pair.number], history_in.friction, history_out.friction, member,
-                    max_elapsed, dt, axes_of(pair),
-                )  # fmt: skip
-                friction_W = wrench.force / unscaled
-                torque_W = wrench.torque / unscaled
-                sums.friction += friction_W
-                sums.force += friction_W
-                sums.torque_1 += wp.cross(patch_shape.center, friction_W) + torque_W
-                sums.torque_2 -= wp.cross(arm_2, friction_W) + torque_W
-        total_force_W = from_float64(scale * sums.force)
-        total_torque_W = from_float64(scale * sums.torque_1)
-        center_W = vec3d()
-        mean_normal_W = vec3d()
-        if sums.pressure > double(0.0):
-            center_W = sums.moment / sums.pressure
-            mean_normal_W = wp.normalize(sums.force - sums.friction)
-        if pair.body_1 >= 0:
-            center_W += to_float64(state.body_position[env, pair.body_1])
-            center_W += to_float64(state.body_position_remainder[env, pair.body_1])
-        number = pair.number
-        body_contacts.status[env, number] = sums.status
-        body_contacts.depth[env, number] = real(sums.depth)
-        body_contacts.share[env, number] = real(wp.where(is_contact, sums.share, double(0.0)))
-        body_contacts.area[env, number] = real(sums.area)
-        body_contacts.volume[env, number] = real(sums.volume)
-        body_contacts.normal[env, number] = from_float64(mean_normal_W)
-        body_contacts.center[env, number] = from_float64(wp.where(is_contact, center_W, vec3d()))
-        body_contacts.max_pressure[env, number] = real(scale * sums.max_pressure)
-        body_contacts.approach_speed[env, number] = real(approach_speed)
-        body_contacts.normal_force[env, number] = real(scale * sums.pressure)
-        body_contacts.friction_force[env, number] = from_float64(scale * sums.friction)
-        body_contacts.force[env, number] = total_force_W
-        body_contacts.torque[env, number] = total_torque_W
-        ends.force[env, end] = total_force_W
-        ends.torque[env, end] = total_torque_W
-        ends.force[env, end + 1] = -total_force_W
-        ends.torque[env, end + 1] = from_float64(scale * sums.torque_2)
-
-    return Functions(add_column, relative_motion, pressure, add_piece, store_result)
+    if has_law_history:
+        return Functions(add_depth_of_column, relative_motion, depth_as_pressure, add_piece)
+    return Functions(add_column, relative_motion, pressure, add_piece)

@@ -60,7 +60,7 @@ from warpcontact.kernels.body_contact.face_trees import (
     start_traversal,
 )
 from warpcontact.kernels.body_contact.overlap import NO_WEIGHT, Overlap, column_weight
-from warpcontact.kernels.body_contact.patches import patch_of
+from warpcontact.kernels.body_contact.patches import patch_of, use_areas_of_exits
 from warpcontact.kernels.body_contact.polygons import Polygon
 from warpcontact.kernels.body_contact.records import BodyContactSettings, body_contact_structs
 from warpcontact.kernels.body_contact.solids import (
@@ -200,7 +200,7 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
-    has_patches = bool(contact_model.friction.memories)
+    has_patches, has_law_history = contact_model.acts_per_patch, bool(contact_model.law.memories)
     add_column = column_functions(contact_model, real, per_area, has_joints).add_column
 
     @wp.func
@@ -452,6 +452,8 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         if side.half_space:
             # Parts wholly below the plane have columns that cancel: the area is that of the exits.
             sums.area = double(0.5) * (sums.area + sums.gross_area)
+            if wp.static(has_law_history):
+                use_areas_of_exits(patch_rows)
         return sums
 
     return columns_of_curved

@@ -36,7 +36,7 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
-    has_patches = bool(contact_model.friction.memories)
+    has_patches = contact_model.acts_per_patch
     add_column = column_functions(contact_model, real, per_area, has_joints).add_column
 
     @wp.func

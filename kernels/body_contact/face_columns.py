@@ -156,10 +156,11 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
-    has_patches = bool(contact_model.friction.memories)
-    # The pressure is a product of affine functions, so that the quadrature is exact. Otherwise triangles around the center of area
-    # make the result independent of the first corner.
-    is_exact = contact_model.law.bilinear and (has_patches or contact_model.friction is Frictionless)
+    has_patches = contact_model.acts_per_patch
+    is_polynomial = contact_model.law.bilinear or bool(contact_model.law.memories)
+    # Quadrature is exact for a product of affine functions, and for the depth that stands for the pressure of a law with history.
+    # Otherwise triangles around the center of area make the result independent of the first corner.
+    is_exact = is_polynomial and (has_patches or contact_model.friction is Frictionless)
     columns = column_functions(contact_model, real, per_area, has_joints)
     add_column, pressure, add_piece = columns.add_column, columns.pressure, columns.add_piece
 

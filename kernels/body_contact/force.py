@@ -9,12 +9,19 @@ import functools
 import warp as wp
 from warpcontact.kernels.body_contact import curved_force, curved_pair_force, polyhedron_force
 from warpcontact.kernels.body_contact import solids as solid_functions
-from warpcontact.kernels.body_contact.column_sums import ColumnSums, column_functions, pair_of
+from warpcontact.kernels.body_contact.column_sums import ColumnSums, pair_of
 from warpcontact.kernels.body_contact.curved_sections import MAX_BREAKS, MAX_LIMITS
 from warpcontact.kernels.body_contact.curved_solids import CURVED
 from warpcontact.kernels.body_contact.face_trees import PENDING_NODES
 from warpcontact.kernels.body_contact.overlap import LEAST_DEPTHS
-from warpcontact.kernels.body_contact.patches import PATCH_COUNT, PATCH_SUMS, start_patches
+from warpcontact.kernels.body_contact.pair_results import store_function
+from warpcontact.kernels.body_contact.patches import (
+    DEPTH_SUMS,
+    PATCH_COUNT,
+    PATCH_SUMS,
+    start_depths,
+    start_patches,
+)
 from warpcontact.kernels.body_contact.polygons import CORNER_ROWS
 from warpcontact.kernels.body_contact.records import (
     BodyContactSettings,
@@ -66,8 +73,8 @@ def contact_forces(
     """Returns the force kernel of body contacts with one contact model; items: pairs.
 
     Args:
-        contact_model: Classes of law and friction models. The law has no history variables. A friction model with history
-            variables acts once per patch, another one at each point of the area.
+        contact_model: Classes of law and friction models. If the law has history variables, both act once per patch. Otherwise
+            the law acts at each point of the area, and so does a friction model without history variables.
         real: Precision of state, law and friction. Geometry is in float64.
         per_area: Whether the law is a pressure; otherwise its mean over the area of the columns is the normal force.
         has_joints: Whether the effective mass includes the joints of bodies.
@@ -77,12 +84,13 @@ def contact_forces(
     Model, State, EndWrenches = t.Model, t.State, t.EndWrenches
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
-    has_patches = bool(contact_model.friction.memories)
+    has_patches, has_law_history = contact_model.acts_per_patch, bool(contact_model.law.memories)
     second_fraction = contact_model.law.second_fraction
     columns_of_pair = _KINDS[curved_count].pair_columns(contact_model, real, per_area, has_joints)
-    store_result = column_functions(contact_model, real, per_area, has_joints).store_result
+    store_result = store_function(contact_model, real, per_area, has_joints)
     pair_pose = solid_functions.functions(real).pair_pose
-    # Lengths of the arrays of a thread that only one kind of pair uses. They are cleared once per thread, not per pair.
+    # Lengths of the arrays of a thread that only some kernels use. They are cleared once per thread, not per pair.
+    sum_count = PATCH_SUMS + DEPTH_SUMS if has_law_history else PATCH_SUMS
     plane_rows, depth_count = (MAX_PLANES, LEAST_DEPTHS) if curved_count == 0 else (1, 1)
     break_rows, limit_count = (MAX_BREAKS, MAX_LIMITS) if curved_count == 1 else (1, 1)
 
@@ -116,7 +124,7 @@ def contact_forces(
         limits = wp.zeros(shape=(limit_count,), dtype=double)
         pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
         normals = wp.zeros(shape=(PATCH_COUNT, 3), dtype=double)
-        patch_rows = wp.zeros(shape=(PATCH_COUNT, PATCH_SUMS), dtype=double)
+        patch_rows = wp.zeros(shape=(PATCH_COUNT, sum_count), dtype=double)
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
             number = first_pair + task_item(launch, task)
@@ -141,6 +149,8 @@ def contact_forces(
             pair = pair_of(pose, solids, solid_1, solid_2, number)
             if wp.static(has_patches):
                 start_patches(normals, patch_rows, patches_in, env, number)
+            if wp.static(has_law_history):
+                start_depths(patch_rows)
             if is_near:
                 kappa = setting.kappa
                 if wp.static(second_fraction is not None):
@@ -151,8 +161,8 @@ def contact_forces(
                     normals, patch_rows,
                 )  # fmt: skip
             store_result(
-                state, env, step[env, 0], pair, sums, setting, coefficients, history_in, history_out, patches_out,
-                body_contacts, ends, first_end + 2 * number, patch_rows,
+                model, state, env, step[env, 0], pair, sums, setting, coefficients, history_in, history_out, patches_in,
+                patches_out, body_contacts, ends, first_end + 2 * number, patch_rows,
             )  # fmt: skip
 
     return body_contact_forces

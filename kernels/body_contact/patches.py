@@ -1,4 +1,8 @@
-"""Patches: columns of a pair with similar normals, which share the history of one friction force and torque.
+"""Patches: columns of a pair with similar normals, which share the history of one normal force, friction force and torque.
+
+A law with history variables acts once per patch, at the root mean square δ of the depths t of its columns. Its pressure is distributed
+as p = law(δ, δ̇) t/δ. So the power of all columns is law(δ, δ̇) δ̇ while the area does not change: work and dissipation are those of
+the law. The pressure of a linear law is that at each column, and the force of columns of equal depth that of the law at this depth.
 
 A patch has the center of its pressure, and a friction radius r_f: pure spin at rate ω under Coulomb friction has the torque
 μ N r_f. The slip of a patch is the vector of its tangential velocity and, along the normal, r_f ω. A friction model limits
@@ -26,6 +30,9 @@ TINY = wp.constant(double(1.0e-300))
 #: Columns of the array of sums over a patch: normal force, its moment of first order (3), of second order (xx, yy, zz, xy, xz,
 #: yz), sum of normals (3).
 PATCH_SUMS = 13
+#: Further columns for laws with history variables, whose sums above have depths instead of pressures: area, sum of its magnitudes,
+#: integral of the squares of depths, integral of depths times the moments of normals (3), largest depth.
+DEPTH_SUMS = 7
 
 
 @wp.struct
@@ -60,6 +67,55 @@ def start_patches(
         set_row(normals, patch, patches.normal[env, PATCH_COUNT * pair + patch])
         for k in range(PATCH_SUMS):
             sums[patch, k] = double(0.0)
+
+
+@wp.func
+def start_depths(sums: wp.array2d(dtype=double)):
+    """Clears the sums of the depths of all patches."""
+    for patch in range(PATCH_COUNT):
+        for k in range(DEPTH_SUMS):
+            sums[patch, PATCH_SUMS + k] = double(0.0)
+
+
+@wp.struct
+class PatchDepths:
+    """Sums of the depths of the columns of a patch."""
+
+    area: double  # [m²]
+    gross_area: double  # sum of the magnitudes of the parts of ``area`` [m²]
+    squares: double  # integral of the squares of depths [m⁴]
+    turning: wp.vec3d  # integral of depths times the moment of the normal about the first center of mass, W [m⁴]
+    largest: double  # [m]
+
+
+@wp.func
+def add_depths_to_patch(sums: wp.array2d(dtype=double), patch: int, depths: PatchDepths):
+    """Adds sums of depths to those of a patch."""
+    sums[patch, PATCH_SUMS] = sums[patch, PATCH_SUMS] + depths.area
+    sums[patch, PATCH_SUMS + 1] = sums[patch, PATCH_SUMS + 1] + depths.gross_area
+    sums[patch, PATCH_SUMS + 2] = sums[patch, PATCH_SUMS + 2] + depths.squares
+    for i in range(3):
+        sums[patch, PATCH_SUMS + 3 + i] = sums[patch, PATCH_SUMS + 3 + i] + depths.turning[i]
+    sums[patch, PATCH_SUMS + 6] = wp.max(sums[patch, PATCH_SUMS + 6], depths.largest)
+
+
+@wp.func
+def use_areas_of_exits(sums: wp.array2d(dtype=double)):
+    """Sets the areas of patches on a half-space to those of the columns down to exits; others are subtracted from them."""
+    for patch in range(PATCH_COUNT):
+        sums[patch, PATCH_SUMS] = double(0.5) * (sums[patch, PATCH_SUMS] + sums[patch, PATCH_SUMS + 1])
+
+
+@wp.func
+def depths_of_patch(sums: wp.array2d(dtype=double), patch: int):
+    """Returns the sums of the depths of a patch."""
+    depths = PatchDepths()
+    depths.area = sums[patch, PATCH_SUMS]
+    depths.gross_area = sums[patch, PATCH_SUMS + 1]
+    depths.squares = sums[patch, PATCH_SUMS + 2]
+    depths.turning = vec3d(sums[patch, PATCH_SUMS + 3], sums[patch, PATCH_SUMS + 4], sums[patch, PATCH_SUMS + 5])
+    depths.largest = sums[patch, PATCH_SUMS + 6]
+    return depths
 
 
 @wp.func

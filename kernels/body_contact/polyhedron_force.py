@@ -15,6 +15,7 @@ from warpcontact.kernels.body_contact.convex_columns import store_planes
 from warpcontact.kernels.body_contact.face_columns import column_side, other_box
 from warpcontact.kernels.body_contact.face_trees import next_leaf_in_box, start_traversal
 from warpcontact.kernels.body_contact.overlap import NO_WEIGHT, least_depth_of_face, overlap_of
+from warpcontact.kernels.body_contact.patches import use_areas_of_exits
 from warpcontact.kernels.body_contact.records import BodyContactSettings, body_contact_structs
 from warpcontact.kernels.body_contact.solids import (
     HALF_SPACE,
@@ -44,6 +45,7 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
     Coefficients, MaterialHistory = group_structs(contact_model, real)
+    has_law_history = bool(contact_model.law.memories)
     relative_motion = column_functions(contact_model, real, per_area, has_joints).relative_motion
     add_face = face_columns.add_face(contact_model, real, per_area, has_joints)
 
@@ -115,6 +117,8 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         if half_space:
             # Parts wholly below the plane have columns that cancel: the area is that of the exits.
             sums.area = double(0.5) * (sums.area + sums.gross_area)
+            if wp.static(has_law_history):
+                use_areas_of_exits(patch_rows)
         return sums
 
     return columns_of_polyhedra

@@ -31,6 +31,8 @@ class Patches:
     """History of the patches of all pairs: [env, PATCH_COUNT × pair + patch]."""
 
     normal: wp.array2d(dtype=wp.vec3d)  # in the axes of the second solid; zero: no patch
+    # Of laws with history variables; others have the entry speed of the pair
+    entry_speed: wp.array2d(dtype=wp.float64)  # approach speed at entry [m/s]; < 0: no patch
 
 
 class BodyContactStructs(NamedTuple):

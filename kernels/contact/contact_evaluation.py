@@ -42,6 +42,11 @@ class ContactModel(NamedTuple):
         return self.rolling is not Frictionless
 
     @property
+    def acts_per_patch(self) -> bool:
+        """Whether law or friction have history variables, of which body contact has one set per patch."""
+        return bool(self.law.memories or self.friction.memories)
+
+    @property
     def has_torsion(self) -> bool:
         """Whether there is torsional friction."""
         return self.torsion is not Frictionless
@@ -114,6 +119,9 @@ class Functions(NamedTuple):
     #: ``(p, normal_state, is_new, history_in, history_out, env, member, max_elapsed, dt, q_WS, n_W)``: returns the normal
     #: force of the law; ``p``: its coefficients, ``is_new``: whether the contact begins [N].
     force_of_law: wp.Function
+    #: ``(model, state, env, body, arm_W, n_W)``: returns the inverse effective mass of a body along a unit vector at a point;
+    #: 0 for the world [1/kg].
+    mobility: wp.Function
     #: ``(history_out, env, member, armed, dt)``: clears the history variables of an open contact. A contact that
     #: was never on the outer side (``armed`` 0) starts without slip when it is enabled or placed in overlap.
     clear_history: wp.Function
@@ -386,4 +394,4 @@ def functions(
         clear_rolling_history(history_out.rolling, env, member, elapsed)
         clear_torsion_history(history_out.torsion, env, member, elapsed)
 
-    return Functions(evaluate_contact, force_of_law, clear_history)
+    return Functions(evaluate_contact, force_of_law, mobility, clear_history)

@@ -364,21 +364,18 @@ def _checked_material(name: str, material: Any) -> ContactMaterial:
                 f"{name}: its material has {part} {type(formula).__name__}; body contact has no {part} friction, "
                 "because friction over the area resists spin and pressure over the area resists rolling"
             )
-    if type(law).memories:
-        raise ValueError(
-            f"{name}: the law of its material, {type(law).__name__}, has history variables, which body contact does not "
-            "support"
-        )
-    if type(friction).memories and (friction.directional or law.pulls):
-        kind = (
-            "depends on the direction of slip"
-            if friction.directional
-            else f"acts with {type(law).__name__}, which pulls"
-        )
-        raise ValueError(
-            f"{name}: the friction of its material, {type(friction).__name__}, has history variables and {kind}; body "
-            "contact does not support both"
-        )
+    for part, formula in (("law", law), ("friction", friction)):
+        has_friction = not isinstance(friction, Frictionless)
+        if type(formula).memories and (friction.directional or (law.pulls and has_friction)):
+            kind = (
+                f"friction {type(friction).__name__} depends on the direction of slip"
+                if friction.directional
+                else f"law {type(law).__name__} pulls, with friction"
+            )
+            raise ValueError(
+                f"{name}: the {part} of its material, {type(formula).__name__}, has history variables, and its {kind}; "
+                "body contact does not support both"
+            )
     if law.needs_curvature or friction.needs_radius:
         part, formula = ("law", law) if law.needs_curvature else ("friction", friction)
         raise ValueError(

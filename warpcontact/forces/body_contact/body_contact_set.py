@@ -132,9 +132,9 @@ class BodyContactSet(ForceElement):
         self.body_contacts = layout.struct(_PURPOSE, BodyContacts, per_env(self.count), transient=computed)
         Coefficients, Memory = group_structs(self.parts, self.real)
         self.coefficients, self.memory, self.history_out = Coefficients(), Memory(), Memory()
-        # Only friction may have history variables, one set per patch.
-        friction = self.parts.friction
-        self.has_patches = bool(friction.memories)
+        # History variables of law and friction: one set per patch.
+        self.has_patches = self.parts.acts_per_patch
+        self.has_law_history = bool(self.parts.law.memories)
         each = per_env(PATCH_COUNT * self.count) if self.has_patches else fixed(1, 1)
         for part, formula in self.parts._asdict().items():
             for target in (self.memory, self.history_out):
@@ -142,8 +142,13 @@ class BodyContactSet(ForceElement):
                 shape = each if formula.memories else fixed(1, 1)
                 transient = target is self.history_out or not formula.memories
                 layout.array(_PURPOSE, target, part, memory_struct(formula, self.real), shape, transient=transient)
-        self.patches = layout.struct(_PURPOSE, Patches, each, transient=not self.has_patches)
-        self.patches_out = layout.struct(_PURPOSE, Patches, each, transient=True)
+        self.patches, self.patches_out = Patches(), Patches()
+        fields = (("normal", wp.vec3d, self.has_patches), ("entry_speed", wp.float64, self.has_law_history))
+        for key, kind, is_used in fields:
+            for target in (self.patches, self.patches_out):
+                transient = target is self.patches_out or not is_used
+                shape = each if is_used else fixed(1, 1)
+                layout.array(_PURPOSE, target, key, kind, shape, transient=transient)
 
     def _add_settings(self, parameters: Parameters) -> None:
         self.settings: Any = None
@@ -212,17 +217,17 @@ class BodyContactSet(ForceElement):
         return launches
 
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
-        """Returns the launch that stores entry speeds, patches and the history of friction after an accepted step."""
+        """Returns the launch that stores entry speeds, patches and history variables after an accepted step."""
         return plan.prepare(
-            acceptance.accept_contacts(self.parts.friction, self.real),
+            acceptance.accept_contacts(self.parts, self.real),
             self.count,
             status=plan.model.arrays.status,
             step=dt.real,
             body_contacts=self.body_contacts,
             patches_out=self.patches_out,
             patches=self.patches,
-            history_out=self.history_out.friction,
-            memory=self.memory.friction,
+            history_out=self.history_out,
+            memory=self.memory,
         )
 
     def reset_state(self, chosen: wp.array) -> None:
@@ -234,9 +239,16 @@ class BodyContactSet(ForceElement):
         wp.launch(acceptance.reset_contacts(self.real), dim=(envs, self.count), inputs=inputs, device=device)
         if self.has_patches:
             dim = (envs, PATCH_COUNT * self.count)
-            wp.launch(acceptance.reset_patches(), dim=dim, inputs=[chosen, self.patches], device=device)
-            kernel = reset.memory(self.parts.friction, self.real)
-            wp.launch(kernel, dim=dim, inputs=[chosen, self.memory.friction], device=device)
+            wp.launch(
+                acceptance.reset_patches(self.has_law_history),
+                dim=dim,
+                inputs=[chosen, self.patches],
+                device=device,
+            )
+            for part, formula in self.parts._asdict().items():
+                if formula.memories:
+                    inputs = [chosen, getattr(self.memory, part)]
+                    wp.launch(reset.memory(formula, self.real), dim=dim, inputs=inputs, device=device)
 
     def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
         """Returns whether some contacts are nonsmooth, whose initial penetration is checked."""
