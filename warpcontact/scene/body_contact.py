@@ -173,7 +173,8 @@ class BodyContacts:
         solid, along the normal of the face, and its length is the depth. Between two curved shapes, columns are along the
         normal of a common plane. A law with an omitted ``area`` is the pressure at the depth of each column. The mean of any
         other law over the area of contact is the normal force. Friction without history acts at each point of the area;
-        friction with history has one force and one torque per patch of similar normals.
+        friction with history has one force and one torque per patch of similar normals. A law with history has one history per
+        patch, and acts at the root mean square of the depths of its columns.
 
         Args:
             first: A surface, a shape, a body (all of its surfaces and shapes), or a list of them. Sensors give the force

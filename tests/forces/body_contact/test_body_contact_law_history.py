@@ -179,7 +179,7 @@ def test_checkpoint_and_reset_keep_and_clear_the_history(device, tmp_path):
     # In contact, while the body moves out.
     sim.step(40)
     assert (model.sensor("touch_0.normal_force") > 0).all()
-    state = sim.save(tmp_path / "state.npz")
+    sim.save(tmp_path / "state.npz")
     sim.step(200)
     expected = [model.sensor(f"{name}.normal_force") for name in contacts]
     sim.reset()
