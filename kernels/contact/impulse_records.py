@@ -4,7 +4,7 @@ import functools
 from typing import Any, NamedTuple
 
 import warp as wp
-from warpcontact.kernels.types import Struct, structs
+from warpcontact.kernels.types import MODE_OPEN, Struct, structs
 
 
 class RecordStructs(NamedTuple):
@@ -84,3 +84,26 @@ def record_structs(real: type) -> RecordStructs:
         RestitutionLimit=RestitutionLimit,
         DisplayedImpulses=DisplayedImpulses,
     )
+
+
+@functools.cache
+def acting_impulse(real: type) -> wp.Function:
+    """Returns the device function ``(stored_impulses, statistics, env, contact)`` of the impulse of a contact in the last step.
+
+    It returns a ``StoredImpulse``, which is zero with the mode MODE_OPEN if the contact was not active.
+    """
+    records = record_structs(real)
+    StoredImpulse = records.StoredImpulse
+
+    @wp.func
+    def impulse_in_last_step(
+        stored_impulses: records.StoredImpulses, statistics: records.StepStatistics, env: int, contact: int
+    ):
+        if stored_impulses[env, contact].stamp == statistics.step[env]:
+            if stored_impulses[env, contact].mode != MODE_OPEN:
+                return stored_impulses[env, contact]
+        result = StoredImpulse()
+        result.mode = wp.int32(MODE_OPEN)
+        return result
+
+    return impulse_in_last_step

@@ -10,7 +10,7 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.body_contact.records import SolidPairs, body_contact_structs
 from warpcontact.kernels.body_contact.solids import Solids
-from warpcontact.kernels.contact.impulse_records import record_structs
+from warpcontact.kernels.contact.impulse_records import acting_impulse, record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.manifolds.records import ManifoldHistory, ManifoldPairs, manifold_structs
 from warpcontact.kernels.nonsmooth.build_rows import add_row
@@ -34,6 +34,7 @@ def manifold_rows(real: type) -> wp.Kernel:
     State = t.State
     ManifoldPoints = manifold_structs(real).ManifoldPoints
     r, records = row_structs(real), record_structs(real)
+    acting = acting_impulse(real)
     add = add_row(real)
     velocity_at = frames.functions(real).velocity_at
     zero = wp.constant(real(0.0))
@@ -55,10 +56,8 @@ def manifold_rows(real: type) -> wp.Kernel:
                 if manifold_points.is_new[env, slot] == 1:
                     return True
             elif history.feature_1[env, slot] != 0:
-                contact = first + slot
-                if stored_impulses[env, contact].stamp == statistics.step[env]:
-                    if stored_impulses[env, contact].mode != MODE_OPEN:
-                        return True
+                if acting(stored_impulses, statistics, env, first + slot).mode != MODE_OPEN:
+                    return True
         return False
 
     @unique_kernel()
@@ -133,6 +132,7 @@ def display_manifolds(real: type) -> wp.Kernel:
     vec3 = structs(real).vec3
     BodyContacts = body_contact_structs(real).BodyContacts
     ManifoldPoints = manifold_structs(real).ManifoldPoints
+    acting = acting_impulse(real)
     records = record_structs(real)
     zero = wp.constant(real(0.0))
 
@@ -168,19 +168,17 @@ def display_manifolds(real: type) -> wp.Kernel:
             center = vec3()
             normals = vec3()
             for slot in range(manifold_pairs.slot_start[number], manifold_pairs.slot_start[number + 1]):
-                contact = first + slot
-                force = vec3()
-                is_current = stored_impulses[env, contact].stamp == statistics.step[env]
-                if is_current and stored_impulses[env, contact].mode != MODE_OPEN:
-                    force = per_second * stored_impulses[env, contact].impulse
-                    normal = stored_impulses[env, contact].normal
+                stored = acting(stored_impulses, statistics, env, first + slot)
+                force = per_second * stored.impulse
+                if stored.mode != MODE_OPEN:
+                    normal = stored.normal
                     along = wp.dot(force, normal)
                     total += force
                     friction += force - along * normal
                     torque += wp.cross(manifold_points.arm_1[env, slot], force)
                     normal_force += along
                     largest = wp.max(largest, along)
-                    approach_speed += along * stored_impulses[env, contact].approach_speed
+                    approach_speed += along * stored.approach_speed
                     normals += along * normal
                     if manifold_points.is_present[env, slot] == 1:
                         located += along

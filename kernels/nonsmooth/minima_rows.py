@@ -9,7 +9,7 @@ import functools
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.contact import minima_geometry
-from warpcontact.kernels.contact.impulse_records import record_structs
+from warpcontact.kernels.contact.impulse_records import acting_impulse, record_structs
 from warpcontact.kernels.contact.minima_records import minima_structs, slot_count
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase import closest_point
@@ -241,6 +241,7 @@ def display(real: type, room: int) -> wp.Kernel:
     t = structs(real)
     vec3, Model, State, Contacts = t.vec3, t.Model, t.State, t.Contacts
     world_position = minima_geometry.functions(real, room).world_position
+    acting = acting_impulse(real)
     records = record_structs(real)
     StoredImpulses, StepStatistics, DisplayedImpulses = (
         records.StoredImpulses,
@@ -285,22 +286,21 @@ def display(real: type, room: int) -> wp.Kernel:
             for slot in range(wp.static(slots)):
                 member = (contact - first_contact) * wp.static(slots) + slot
                 normal_force = real(0.0)
-                if stored_impulses[env, first_stored + member].stamp == statistics.step[env]:
-                    stored = stored_impulses[env, first_stored + member]
-                    if stored.mode != MODE_OPEN:
-                        own = wp.dot(stored.impulse, stored.normal)
-                        normal_force = per_second * own
-                        impulse += stored.impulse
-                        across += stored.impulse - own * stored.normal
-                        couple += stored.couple
-                        along += own
-                        moment += own * results.arm[env, member]
-                        if own > strongest:
-                            strongest = own
-                            approach_speed = stored.approach_speed
-                            slip_speed = stored.slip_speed
-                        if mode == MODE_OPEN or stored.mode == MODE_SLIP:
-                            mode = stored.mode
+                stored = acting(stored_impulses, statistics, env, first_stored + member)
+                if stored.mode != MODE_OPEN:
+                    own = wp.dot(stored.impulse, stored.normal)
+                    normal_force = per_second * own
+                    impulse += stored.impulse
+                    across += stored.impulse - own * stored.normal
+                    couple += stored.couple
+                    along += own
+                    moment += own * results.arm[env, member]
+                    if own > strongest:
+                        strongest = own
+                        approach_speed = stored.approach_speed
+                        slip_speed = stored.slip_speed
+                    if mode == MODE_OPEN or stored.mode == MODE_SLIP:
+                        mode = stored.mode
                 results.normal_force[env, member] = normal_force
             displayed.impulse[env, contact] = impulse
             displayed.mode[env, contact] = mode

@@ -9,7 +9,7 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.contact.impulse_records import record_structs
+from warpcontact.kernels.contact.impulse_records import acting_impulse, record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.nonsmooth.rows import row_structs, solve_types
 from warpcontact.kernels.nonsmooth.velocity_update import relative_velocities
@@ -170,7 +170,7 @@ def display_contacts(real: type, Contacts: Any) -> wp.Kernel:
 
     Items: nonsmooth contacts. ``Contacts`` is the struct of the contact arrays.
     """
-    vec3 = structs(real).vec3
+    acting = acting_impulse(real)
     records = record_structs(real)
     StoredImpulses, StepStatistics, DisplayedImpulses = (
         records.StoredImpulses,
@@ -196,30 +196,16 @@ def display_contacts(real: type, Contacts: Any) -> wp.Kernel:
             if status[env] != ENV_ACTIVE:
                 continue
             contact = first + item
-            impulse = vec3()
-            couple = vec3()
-            approach_speed = real(0.0)
-            slip_speed = real(0.0)
-            mode = wp.int32(MODE_OPEN)
-            along = real(0.0)
-            normal = vec3()
-            if stored_impulses[env, contact].stamp == statistics.step[env]:
-                mode = stored_impulses[env, contact].mode
-                if mode != MODE_OPEN:
-                    impulse = stored_impulses[env, contact].impulse
-                    couple = stored_impulses[env, contact].couple
-                    normal = stored_impulses[env, contact].normal
-                    along = wp.dot(impulse, normal)
-                    approach_speed = stored_impulses[env, contact].approach_speed
-                    slip_speed = stored_impulses[env, contact].slip_speed
+            stored = acting(stored_impulses, statistics, env, contact)
+            along = wp.dot(stored.impulse, stored.normal)
             per_second = real(1.0) / step[env, 0]
-            displayed.impulse[env, contact] = impulse
-            displayed.mode[env, contact] = mode
+            displayed.impulse[env, contact] = stored.impulse
+            displayed.mode[env, contact] = stored.mode
             contacts.normal_force[env, item] = per_second * along
-            contacts.friction_force[env, item] = per_second * (impulse - along * normal)
-            contacts.torque[env, item] = per_second * couple
-            contacts.approach_speed[env, item] = approach_speed
-            contacts.slip_speed[env, item] = slip_speed
+            contacts.friction_force[env, item] = per_second * (stored.impulse - along * stored.normal)
+            contacts.torque[env, item] = per_second * stored.couple
+            contacts.approach_speed[env, item] = stored.approach_speed
+            contacts.slip_speed[env, item] = stored.slip_speed
 
     return show_contacts
 
@@ -230,7 +216,7 @@ def display_particles(real: type) -> wp.Kernel:
 
     Launch with dim (env, particle). A pair with an impulse is reported as in contact, even if it has opened since.
     """
-    vec3 = structs(real).vec3
+    acting = acting_impulse(real)
     p = particle_structs(real)
     records = record_structs(real)
     StoredImpulses, StepStatistics = records.StoredImpulses, records.StepStatistics
@@ -254,21 +240,14 @@ def display_particles(real: type) -> wp.Kernel:
             flags = pair_records.flags[env, slot]
             if flags == 0:
                 continue
-            force = vec3()
-            along = real(0.0)
-            approach_speed = real(0.0)
-            contact = first + slot
-            if stored_impulses[env, contact].stamp == statistics.step[env]:
-                if stored_impulses[env, contact].mode != MODE_OPEN:
-                    force = per_second * stored_impulses[env, contact].impulse
-                    normal = stored_impulses[env, contact].normal
-                    along = wp.dot(force, normal)
-                    approach_speed = stored_impulses[env, contact].approach_speed
-                    pair_records.normal[env, slot] = normal
-                    pair_records.flags[env, slot] = flags | IN_CONTACT
+            stored = acting(stored_impulses, statistics, env, first + slot)
+            force = per_second * stored.impulse
+            if stored.mode != MODE_OPEN:
+                pair_records.normal[env, slot] = stored.normal
+                pair_records.flags[env, slot] = flags | IN_CONTACT
             pair_records.force[env, slot] = force
-            pair_records.normal_force[env, slot] = along
-            pair_records.approach_speed[env, slot] = approach_speed
+            pair_records.normal_force[env, slot] = wp.dot(force, stored.normal)
+            pair_records.approach_speed[env, slot] = stored.approach_speed
 
     return show_particles
 
