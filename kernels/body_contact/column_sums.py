@@ -1,7 +1,7 @@
 """Sums over the columns of a pair: law and friction at each column.
 
 The columns of each kind of pair are added with ``add_column``. If only the law acts at each column, the sums over whole polygons are
-added with ``add_piece``. What acts on patches, and the results, are in ``pair_results.py``.
+added with ``add_piece``. Forces of patches, and the results of a pair, are in ``pair_results.py``.
 """
 
 import functools

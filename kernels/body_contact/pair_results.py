@@ -1,4 +1,4 @@
-"""What acts on the patches of a pair of body contact, and its results: readings, and the wrenches of both bodies."""
+"""Forces of the patches of a pair of body contact, and its results: sensor values, and the wrenches of both bodies."""
 
 import functools
 
@@ -26,7 +26,7 @@ CANCELLED = wp.constant(double(1.0e-9))
 
 @functools.cache
 def store_function(contact_model: ContactModel, real: type, per_area: bool, has_joints: bool) -> wp.Function:
-    """Returns the device function that adds what acts on patches to the sums of a pair, and stores its results.
+    """Returns the device function that adds the forces of patches to the sums of a pair, and stores its results.
 
     Its arguments are (model, state, env, dt, pair, sums, setting, coefficients, history_in, history_out, patches_in, patches_out,
     body_contacts, ends, end, patch_rows). For those of the factory, see ``force.contact_forces``.

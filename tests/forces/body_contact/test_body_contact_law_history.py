@@ -151,7 +151,7 @@ def test_pressure_of_a_linear_law_is_proportional_to_depths(device):
     solid = scene.add_shape(box, wc.shapes.RoundedBox((SIDE / 2,) * 3), name="solid")
     scene.add_body_contact(solid, plane, MATERIAL, name="touch")
     model = built(scene, ["touch"], device)
-    # The lowest edge is at x = 0. A triangle below the plane: its corners are the edge and both crossings of the plane.
+    # The lowest edge is at x = 0. Vertices of the triangle below the plane: the edge and both crossings of the plane.
     crossings = np.array([-depth / np.tan(angle), depth * np.tan(angle)])
     volume = 0.5 * depth * (crossings[1] - crossings[0]) * SIDE
     area = (crossings[1] - crossings[0]) * SIDE
