@@ -24,7 +24,7 @@ from warpcontact.kernels.contact.contact_evaluation import (
     kinematics_structs,
 )
 from warpcontact.kernels.frames import functions as frame_functions
-from warpcontact.kernels.types import CONTACT, WRONG_SIDE, structs
+from warpcontact.kernels.types import CONTACT, OPEN, WRONG_SIDE, structs
 
 vec3d = wp.vec3d
 double = wp.float64
@@ -124,14 +124,13 @@ def with_sample(
 
 
 @wp.func
-def with_depth(sums: ColumnSums, depth: double, setting: BodyContactSettings):
-    """Returns the sums of a pair with the depth of the overlap, and the status that follows from it."""
-    sums.depth = depth
+def status_at_depth(depth: double, setting: BodyContactSettings):
+    """Returns the status of an enabled pair whose overlap has this depth; 0: there is none."""
+    if depth > setting.max_depth:
+        return wp.int32(WRONG_SIDE)
     if depth > double(0.0):
-        sums.status = CONTACT
-        if depth > setting.max_depth:
-            sums.status = WRONG_SIDE
-    return sums
+        return wp.int32(CONTACT)
+    return wp.int32(OPEN)
 
 
 @wp.func

@@ -20,7 +20,7 @@ from warpcontact.kernels.body_contact.column_sums import (
     ColumnSums,
     Pair,
     column_functions,
-    with_depth,
+    status_at_depth,
 )
 from warpcontact.kernels.body_contact.columns import FaceFrame, face_frame, is_apart
 from warpcontact.kernels.body_contact.curved_columns import (
@@ -80,7 +80,7 @@ from warpcontact.kernels.body_contact.surface_queries import (
     is_face_outside,
 )
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.types import CONTACT, OPEN, structs
+from warpcontact.kernels.types import CONTACT, structs
 
 vec3d = wp.vec3d
 double = wp.float64
@@ -399,6 +399,8 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         second: SolidGeometry,
         setting: BodyContactSettings,
         kappa: double,
+        contact_status: int,
+        is_near: bool,
         corners: wp.array2d(dtype=double),
         planes: wp.array2d(dtype=double),
         exits: wp.array2d(dtype=double),
@@ -414,8 +416,10 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         patch_rows: wp.array2d(dtype=double),
     ):
         sums = ColumnSums()
-        sums.status = OPEN
+        sums.status = contact_status
         side = curved_side(first, second, pose, kappa)
+        if not is_near:
+            return sums
         if not side.half_space and are_apart(first, second, pose.first_in_second, double(0.0)):
             return sums
         # Its share is that of the polyhedron.
@@ -426,7 +430,8 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         if setting.reference >= double(0.0) and (side.other.flags & (HALF_SPACE | HAS_BOUNDARY)) == 0:
             overlap.share = wp.where(is_first, setting.reference, double(1.0) - setting.reference)
         sums.share = wp.where(is_first, overlap.share, double(1.0) - overlap.share)
-        sums = with_depth(sums, overlap.depth, setting)
+        sums.depth = overlap.depth
+        sums.status = status_at_depth(sums.depth, setting)
         if sums.status != CONTACT:
             return sums
         kind_count = wp.int32(1)

@@ -3,7 +3,13 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.body_contact.column_sums import Column, ColumnSums, Pair, column_functions, with_depth
+from warpcontact.kernels.body_contact.column_sums import (
+    Column,
+    ColumnSums,
+    Pair,
+    column_functions,
+    status_at_depth,
+)
 from warpcontact.kernels.body_contact.curved_pairs import (
     ANGLE_STEP,
     DIRECTIONS,
@@ -21,7 +27,7 @@ from warpcontact.kernels.body_contact.records import BodyContactSettings, body_c
 from warpcontact.kernels.body_contact.solids import Geometries, PairPose
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, are_apart
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.types import CONTACT, OPEN, structs
+from warpcontact.kernels.types import CONTACT, structs
 
 double = wp.float64
 
@@ -52,6 +58,8 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         second: SolidGeometry,
         setting: BodyContactSettings,
         kappa: double,
+        contact_status: int,
+        is_near: bool,
         corners: wp.array2d(dtype=double),
         planes: wp.array2d(dtype=double),
         exits: wp.array2d(dtype=double),
@@ -67,8 +75,8 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         patch_rows: wp.array2d(dtype=double),
     ):
         sums = ColumnSums()
-        sums.status = OPEN
-        if are_apart(first, second, pose.first_in_second, double(0.0)):
+        sums.status = contact_status
+        if not is_near or are_apart(first, second, pose.first_in_second, double(0.0)):
             return sums
         solids = CurvedPair()
         solids.first = first
@@ -80,7 +88,8 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         if not plane.is_found:
             return sums
         sums.share = double(0.5)
-        sums = with_depth(sums, plane.largest_depth, setting)
+        sums.depth = plane.largest_depth
+        sums.status = status_at_depth(sums.depth, setting)
         if sums.status != CONTACT:
             return sums
         rotation = pose.second_axes.rotation

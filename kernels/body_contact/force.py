@@ -9,7 +9,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.body_contact import curved_force, curved_pair_force, polyhedron_force
 from warpcontact.kernels.body_contact import solids as solid_functions
-from warpcontact.kernels.body_contact.column_sums import ColumnSums, pair_of
+from warpcontact.kernels.body_contact.column_sums import pair_of
 from warpcontact.kernels.body_contact.curved_sections import MAX_BREAKS, MAX_LIMITS
 from warpcontact.kernels.body_contact.curved_solids import CURVED
 from warpcontact.kernels.body_contact.face_trees import PENDING_NODES
@@ -133,12 +133,11 @@ def contact_forces(
             setting = settings[env, number]
             solid_1 = pairs.first[number]
             solid_2 = pairs.second[number]
-            sums = ColumnSums()
-            sums.status = wp.where(setting.enabled == 0, DISABLED, OPEN)
+            contact_status = wp.where(setting.enabled == 0, DISABLED, OPEN)
             is_near = setting.enabled != 0 and not are_boxes_apart(
                 boxes.box[env, solid_1], boxes.box[env, solid_2]
             )
-            if not is_near and body_contacts.status[env, number] == sums.status:
+            if not is_near and body_contacts.status[env, number] == contact_status:
                 # Readings and wrenches are zero already.
                 continue
             first = solid_geometry(geometries, solids.pose[env, solid_1])
@@ -151,15 +150,14 @@ def contact_forces(
                 start_patches(normals, patch_rows, patches_in, env, number)
             if wp.static(has_law_history):
                 start_depths(patch_rows)
-            if is_near:
-                kappa = setting.kappa
-                if wp.static(second_fraction is not None):
-                    kappa = double(second_fraction(coefficients.law[env, number]))
-                sums = columns_of_pair(
-                    model, state, env, step[env, 0], pair, pose, geometries, first, second, setting, kappa, corners, planes,
-                    exits, least_depths, breaks, limits, pending, coefficients, history_in, history_out, body_contacts,
-                    normals, patch_rows,
-                )  # fmt: skip
+            kappa = setting.kappa
+            if wp.static(second_fraction is not None):
+                kappa = double(second_fraction(coefficients.law[env, number]))
+            sums = columns_of_pair(
+                model, state, env, step[env, 0], pair, pose, geometries, first, second, setting, kappa, contact_status,
+                is_near, corners, planes, exits, least_depths, breaks, limits, pending, coefficients, history_in,
+                history_out, body_contacts, normals, patch_rows,
+            )  # fmt: skip
             store_result(
                 model, state, env, step[env, 0], pair, sums, setting, coefficients, history_in, history_out, patches_in,
                 patches_out, body_contacts, ends, first_end + 2 * number, patch_rows,

@@ -7,14 +7,15 @@ from warpcontact.kernels.body_contact import face_columns
 from warpcontact.kernels.body_contact.column_sums import (
     ColumnSums,
     Pair,
+    RelativeMotion,
     column_functions,
-    with_depth,
+    status_at_depth,
 )
 from warpcontact.kernels.body_contact.columns import ramp_height
 from warpcontact.kernels.body_contact.convex_columns import store_planes
 from warpcontact.kernels.body_contact.face_columns import column_side, other_box
 from warpcontact.kernels.body_contact.face_trees import next_leaf_in_box, start_traversal
-from warpcontact.kernels.body_contact.overlap import NO_WEIGHT, least_depth_of_face, overlap_of
+from warpcontact.kernels.body_contact.overlap import NO_WEIGHT, Overlap, least_depth_of_face, overlap_of
 from warpcontact.kernels.body_contact.patches import use_areas_of_exits
 from warpcontact.kernels.body_contact.records import BodyContactSettings, body_contact_structs
 from warpcontact.kernels.body_contact.solids import (
@@ -26,7 +27,7 @@ from warpcontact.kernels.body_contact.solids import (
 )
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, are_apart, is_face_outside
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.types import CONTACT, OPEN, structs
+from warpcontact.kernels.types import CONTACT, structs
 
 double = wp.float64
 
@@ -35,11 +36,12 @@ double = wp.float64
 def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_joints: bool) -> wp.Function:
     """Returns the device function that finds the overlap of two solids, and integrates their columns.
 
-    Its arguments are (model, state, env, dt, pair, pose, geometries, first, second, setting, kappa, corners, planes, exits,
-    least_depths, breaks, limits, pending, coefficients, history_in, history_out, body_contacts, normals, patch_rows); it returns
-    the ``ColumnSums``. ``kappa`` is the fraction of the length of a column, from the second solid, at which its force acts. The
-    arrays from ``corners`` to ``pending`` are room of the thread, of which each kind of pair uses a part. ``normals`` and
-    ``patch_rows`` are those of the patches, see ``patches.py``. For the arguments of the factory, see ``force.contact_forces``.
+    Its arguments are (model, state, env, dt, pair, pose, geometries, first, second, setting, kappa, contact_status, is_near,
+    corners, planes, exits, least_depths, breaks, limits, pending, coefficients, history_in, history_out, body_contacts, normals,
+    patch_rows); it returns the ``ColumnSums``. ``kappa`` is the fraction of the length of a column, from the second solid, at which
+    its force acts; ``contact_status`` the status without overlap; ``is_near`` whether the solids may overlap. The arrays from
+    ``corners`` to ``pending`` are room of the thread, of which each kind of pair uses a part. ``normals`` and ``patch_rows`` are
+    those of the patches, see ``patches.py``. For the arguments of the factory, see ``force.contact_forces``.
     """
     t = structs(real)
     Model, State = t.Model, t.State
@@ -62,6 +64,8 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         second: SolidGeometry,
         setting: BodyContactSettings,
         kappa: double,
+        contact_status: int,
+        is_near: bool,
         corners: wp.array2d(dtype=double),
         planes: wp.array2d(dtype=double),
         exits: wp.array2d(dtype=double),
@@ -76,24 +80,28 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
         normals: wp.array2d(dtype=double),
         patch_rows: wp.array2d(dtype=double),
     ):
-        sums = ColumnSums()
-        sums.status = OPEN
         half_space = (second.flags & HALF_SPACE) != 0
         second_is_reference = (second.flags & (HALF_SPACE | HAS_BOUNDARY)) != 0
-        margin = ramp_height(first) + ramp_height(second)
-        if not half_space and are_apart(first, second, pose.first_in_second, margin):
-            return sums
-        overlap = overlap_of(
-            corners, planes, exits, least_depths, pending, geometries, first, second, pose.first_in_second
-        )
-        if setting.reference >= double(0.0) and not second_is_reference:
-            overlap.share = setting.reference
+        if is_near and not half_space:
+            margin = ramp_height(first) + ramp_height(second)
+            is_near = not are_apart(first, second, pose.first_in_second, margin)
+        overlap = Overlap()
+        sums = ColumnSums()
+        sums.status = contact_status
+        if is_near:
+            overlap = overlap_of(
+                corners, planes, exits, least_depths, pending, geometries, first, second, pose.first_in_second
+            )
+            if setting.reference >= double(0.0) and not second_is_reference:
+                overlap.share = setting.reference
+            sums.status = status_at_depth(overlap.depth, setting)
+        sums.depth = overlap.depth
         sums.share = overlap.share
-        sums = with_depth(sums, overlap.depth, setting)
-        if sums.status != CONTACT:
-            return sums
-        motion = relative_motion(state, env, pair)
-        sides = wp.where(second_is_reference, 1, 2)
+        sides = wp.int32(0)
+        motion = RelativeMotion()
+        if sums.status == CONTACT:
+            motion = relative_motion(state, env, pair)
+            sides = wp.where(second_is_reference, 1, 2)
         for number_of_side in range(sides):
             side = column_side(first, second, pose, overlap, kappa, number_of_side)
             if side.share == double(0.0):

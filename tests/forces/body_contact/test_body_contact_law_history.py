@@ -125,8 +125,7 @@ def test_patches_of_a_pair_have_their_own_history(device):
     both = 0
     for number in range(60):
         if number == 40:
-            for body in ("box", "twin"):
-                model[f"{body}.linear_velocity"] = (0.1, 0.0, 0.2)
+            sim.state.body_linear_velocity.fill_(wp.vec3d(0.1, 0.0, 0.2))
         sim.step()
         force = model.sensor("touch.force")
         wall_force, floor_force = (model.sensor(f"touch_{name}.normal_force") for name in ("wall", "floor"))
