@@ -139,10 +139,22 @@ def shape_scene():
     )
     scene.add_shape(None, wc.shapes.RoundedBox((0.1, 0.2, 0.3), 0.01), visible=False)
     crate = scene.add_body(0.5, (1e-3, 1e-3, 1e-3), (0.4, 0.1, 0.9), turned(odd), name="crate")
-    sides = [scene.add_shape(crate, wc.shapes.RoundedBox((0.05, 0.04, 0.03)), (0.1 * i, 0, 0)) for i in range(2)]
+    sides = [
+        scene.add_shape(
+            crate,
+            wc.shapes.RoundedBox((0.05, 0.04, 0.03)),
+            (0.1 * i, 0, 0),
+            physics_material=("steel", "rubber")[i],
+        )
+        for i in range(2)
+    ]
     foundation = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e7))
     scene.add_body_contact(sides, plane, foundation, kappa=0.4, reference="second", max_depth=0.01, name="press")
     scene.add_body_contact([*sides, plane], foundation, exclude=[(plane, sides[0])], name="touch")
+    plate = scene.add_surface(wc.meshes.box((1, 1, 0.1)), group=2, mask=3, physics_material="steel", name="slab")
+    stiff = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=3e7))
+    table = {("steel", "steel"): stiff, ("steel", "rubber"): foundation, ("rubber", "rubber"): None, None: stiff}
+    scene.add_body_contact(sides, plate, table, name="table")
     motions = (
         wc.motions.Hinge(axis=(0, 1, 0.2), anchor=(0.1, 0.2, 0.3)),
         wc.motions.Ball(anchor=(0, 0, 2.0)),

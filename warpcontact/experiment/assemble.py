@@ -6,7 +6,7 @@
 import itertools
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from warpcontact.experiment.schema import (
     ContactSettings,
     CouplingOptions,
     MaterialSettings,
+    PairMaterialSettings,
     ParticleContactSettings,
     PointSettings,
     PointsSettings,
@@ -298,20 +299,33 @@ class SceneBuilder:
             except _Unresolved:
                 return None
 
+        def find_all(key: str, given: str | tuple[str, ...]) -> list[Any]:
+            if isinstance(given, str):
+                return [find(key, given, _SOLID)]
+            return [find(f"{key}[{i}]", one, _SOLID) for i, one in enumerate(given)]
+
         # Resolve all references before failing, so that each is reported.
-        sides = []
-        for key in ("first",) if entry.second is None else ("first", "second"):
-            given = getattr(entry, key)
-            names = (
-                [(key, given)] if isinstance(given, str) else [(f"{key}[{i}]", one) for i, one in enumerate(given)]
-            )
-            sides.append([find(where, name, _SOLID) for where, name in names])
+        keys = ("first",) if entry.second is None else ("first", "second")
+        sides = [find_all(key, getattr(entry, key)) for key in keys]
         pairs: list[Any] = [
-            [find(f"exclude[{i}][{k}]", name, _SOLID) for k, name in enumerate(pair)]
+            [find_all(f"exclude[{i}][{k}]", side) for k, side in enumerate(pair)]
             for i, pair in enumerate(entry.exclude)
         ]
-        material = find("material", entry.material, _MATERIAL)
-        if any(found is None for found in (*itertools.chain(*sides, *pairs), material)):
+        material: Any = None
+        if isinstance(entry.material, str):
+            material = find("material", entry.material, _MATERIAL)
+            materials = [material]
+        else:
+            materials = [
+                None if row.material is None else find(f"material[{i}].material", row.material, _MATERIAL)
+                for i, row in enumerate(entry.material)
+            ]
+            material = _table(path, entry.material, materials, problems)
+            materials = [
+                one for row, one in zip(entry.material, materials, strict=True) if row.material is not None
+            ]
+        solids = itertools.chain(*sides, *(solid for pair in pairs for solid in pair))
+        if any(found is None for found in (*solids, *materials)):
             raise _Unresolved
         options = entry.model_dump(exclude={"first", "second", "material", "exclude"})
         return scene.add_body_contact(sides[0], sides[-1], material, exclude=pairs, **options)
@@ -356,6 +370,21 @@ class SceneBuilder:
         available = [given for section in sections for given in sorted(self.parts.names[section])]
         if name not in available and not self.parts.unnamed.intersection(sections):
             problems.add_unknown_name(path, name, word, available)
+
+
+def _table(
+    path: str, rows: Sequence[PairMaterialSettings], materials: Sequence[Any], problems: Problems
+) -> dict[tuple[str, str] | None, Any]:
+    """Returns the table of contact materials of the rows of an experiment; a second row of a pair is reported."""
+    table: dict[tuple[str, str] | None, Any] = {}
+    for i, (row, material) in enumerate(zip(rows, materials, strict=True)):
+        key = None if row.pair is None else (row.pair[0], row.pair[1])
+        if key in table:
+            which = "all other pairs" if key is None else f"the pair {list(key)}"
+            problems.add(f"{path}.material[{i}]", f": there is an entry of {which} before")
+            raise _Unresolved
+        table[key] = material
+    return table
 
 
 def _as_continuation(message: str, name: str) -> str:

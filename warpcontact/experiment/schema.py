@@ -36,7 +36,6 @@ from warpcontact.model.build import PRECISIONS
 from warpcontact.scene import couplings as coupling_limits
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.contact_coupling import CLOSEST, DAMPING_RATIO, FACINGS, SPEED, ContactRange
-from warpcontact.scene.shapes import ALL
 from warpcontact.scene.surface_contact import SIDES
 
 Row = TypeVar("Row")
@@ -61,6 +60,9 @@ class SurfaceSettings(Section):
     scale: Annotated[float, q.numbers((), allowed=limits_of.SCALE)] = 1.0
     flip: bool = False
     active_faces: Annotated[Any, q.faces] = None
+    group: int = Field(default=1, ge=0, le=limits_of.ALL_GROUPS)
+    mask: int = Field(default=limits_of.ALL_GROUPS, ge=0, le=limits_of.ALL_GROUPS)
+    physics_material: str | None = Field(default=None, min_length=1)
     color: Color | None = None
     visible: bool = True
 
@@ -211,8 +213,9 @@ class ShapeSettings(Section):
     body: str | None = None
     position: Position = ORIGIN
     orientation: Quaternion = NO_ROTATION
-    group: int = Field(default=1, ge=0, le=ALL)
-    mask: int = Field(default=ALL, ge=0, le=ALL)
+    group: int = Field(default=1, ge=0, le=limits_of.ALL_GROUPS)
+    mask: int = Field(default=limits_of.ALL_GROUPS, ge=0, le=limits_of.ALL_GROUPS)
+    physics_material: str | None = Field(default=None, min_length=1)
     color: Color | None = None
     visible: bool = True
 
@@ -251,6 +254,21 @@ class ParticleContactSettings(Section):
     visible: bool = True
 
 
+class PairMaterialSettings(Section):
+    """Entry of a table of contact materials."""
+
+    pair: Rows[str] | None = Field(
+        default=None, description="two names of physics materials; if left out, all other pairs"
+    )
+    material: str | None = Field(default=None, description="the name of a material; if left out, no contact")
+
+    @model_validator(mode="after")
+    def _has_two_names(self) -> "PairMaterialSettings":
+        if self.pair is not None and (len(self.pair) != 2 or not all(self.pair)):
+            raise ValueError(f".pair must be two names of physics materials, got {list(self.pair)}")
+        return self
+
+
 class BodyContactSettings(Section):
     """``[[body_contact]]``: contact of solids over an area."""
 
@@ -259,9 +277,12 @@ class BodyContactSettings(Section):
     second: str | Rows[str] | None = Field(
         default=None, description="likewise; if left out, each solid of first is in contact with each other one"
     )
-    material: str = Field(description="the name of a material")
-    exclude: Rows[Rows[str]] = Field(
-        default=(), description="pairs of names of surfaces, shapes or bodies that are not in contact"
+    material: str | Rows[PairMaterialSettings] = Field(
+        description="the name of a material, or a list of tables { pair = [two physics materials], material = name }"
+    )
+    exclude: Rows[Rows[str | Rows[str]]] = Field(
+        default=(),
+        description="pairs of names of surfaces, shapes or bodies, or of lists of them, that are not in contact",
     )
     reference: Literal["auto", "first", "second", "average"] = "auto"
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5

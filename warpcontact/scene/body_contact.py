@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, TypeAlias
@@ -17,6 +17,7 @@ from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.rounded_box import RoundedBox
 from warpcontact.scene.elements import Body, ContactMaterial, Surface, check_owned, options_of
+from warpcontact.scene.material_table import GivenTable, MaterialTable, check_pairs, checked_table
 from warpcontact.scene.shapes import Shape
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
@@ -42,13 +43,15 @@ def curved_shapes() -> tuple[type, ...]:
 class BodyContact:
     """Contact of solids over an area: all pairs of a first and a second solid on different bodies.
 
-    ``first`` and ``second`` are the same for a list of solids in contact with each other.
+    ``first`` and ``second`` are the same for a list of solids in contact with each other. With a table of contact materials,
+    ``material`` is that of the first pair, and those of all pairs have the same contact model.
     """
 
     name: str
     first: tuple[Solid, ...]
     second: tuple[Solid, ...]
     material: ContactMaterial
+    table: MaterialTable | None
     exclude: tuple[tuple[Solid, Solid], ...]
     reference: str
     kappa: Array
@@ -60,18 +63,22 @@ class BodyContact:
 
     @cached_property
     def pairs(self) -> tuple[tuple[Solid, Solid], ...]:
-        """Its pairs: each first solid with each second one on another body, unless they are excluded.
+        """Its pairs: each first solid with each second one on another body, unless groups or ``exclude`` prevent contact.
 
-        A half-space or open surface is the second of a pair.
+        Pairs that the table of contact materials excepts are left out. A half-space or open surface is the second of a pair.
         """
-        excluded = {frozenset(pair) for pair in self.exclude}
-        found: dict[frozenset[Solid], tuple[Solid, Solid]] = {}
-        for one, other in itertools.product(self.first, self.second):
-            key = frozenset((one, other))
-            if one.body is not other.body and key not in excluded:
-                # Each pair once, although lists may have common elements.
-                found.setdefault(key, (other, one) if _must_be_second(one) else (one, other))
-        return tuple(found.values())
+        pairs = _pairs_of(self.first, self.second, self.exclude)
+        if self.table is None:
+            return pairs
+        materials = self.table.find_all(pairs)
+        return tuple(pair for pair, material in zip(pairs, materials, strict=True) if material is not None)
+
+    @cached_property
+    def materials(self) -> tuple[ContactMaterial, ...]:
+        """Contact material of each pair."""
+        if self.table is None:
+            return (self.material,) * len(self.pairs)
+        return tuple(one for one in self.table.find_all(self.pairs) if one is not None)
 
     @property
     def count(self) -> int:
@@ -133,8 +140,14 @@ class BodyContact:
                 )
 
     def parameters(self, part: str) -> dict[str, Any]:
-        """Returns the parameters of one part of the material. With an area of 1 m², a force is a pressure."""
-        return self.formulas[part].parameters(area=1.0)
+        """Returns the parameters of one part of the material, one value or one per pair.
+
+        With an area of 1 m², a force is a pressure.
+        """
+        if self.table is None:
+            return self.formulas[part].parameters(area=1.0)
+        each = [material.formulas[part].parameters(area=1.0) for material in self.materials]
+        return {key: np.array([values[key] for values in each]) for key in each[0]}
 
     def is_computed(self, part: str, name: str) -> bool:
         """Returns whether a parameter of one part of the material is computed: the area."""
@@ -153,10 +166,12 @@ class BodyContacts:
     def add_body_contact(
         self,
         first: Body | Solid | Sequence[Body | Solid],
-        second: Body | Solid | Sequence[Body | Solid] | ContactMaterial,
-        material: ContactMaterial | None = None,
+        second: Body | Solid | Sequence[Body | Solid] | ContactMaterial | GivenTable,
+        material: ContactMaterial | GivenTable | None = None,
         *,
-        exclude: Sequence[tuple[Body | Solid, Body | Solid]] = (),
+        exclude: Sequence[
+            tuple[Body | Solid | Sequence[Body | Solid], Body | Solid | Sequence[Body | Solid]]
+        ] = (),
         reference: str = "auto",
         kappa: float = 0.5,
         max_depth: float | None = None,
@@ -182,8 +197,13 @@ class BodyContacts:
             second: Likewise. Each first solid is paired with each second one on another body. With several pairs, sensors
                 have an additional axis, ``item``. If left out, as in ``add_body_contact(bodies, material)``, each solid of the
                 list is paired with each other one; a half-space or open surface is the second of its pairs.
-            material: Contact material, without rolling and torsional friction.
-            exclude: Pairs of surfaces, shapes or bodies that are not in contact, for example the two bodies of a joint.
+            material: Contact material, without rolling and torsional friction; or a table of them,
+                ``{("steel", "steel"): …, ("rubber", "steel"): …, None: …}``, by the ``physics_material`` of both solids. The
+                order of names does not matter. ``None`` as a key stands for all other pairs, and as a value for pairs that
+                are not in contact. Materials of a table have the same classes of law and friction, and parameters of the
+                contact have one value per pair.
+            exclude: Pairs of surfaces, shapes or bodies that are not in contact, for example the two bodies of a joint; or
+                pairs of lists of them. ``group`` and ``mask`` of ``add_shape`` and ``add_surface`` also prevent contact.
             reference: Solid on whose faces the columns stand. ``"auto"``: the flatter one, with a continuous transition;
                 ``"first"``, ``"second"``, or ``"average"`` of both. A half-space or open surface is always the reference.
                 Two curved shapes have a common plane instead.
@@ -200,32 +220,39 @@ class BodyContacts:
             ValueError: If a value is out of range, a solid is not supported, or there is no pair on different bodies.
         """
         name = checks.new_name("body_contact", name, self._elements)
-        if material is None and isinstance(second, ContactMaterial):
+        if material is None and isinstance(second, ContactMaterial | Mapping):
             material = second
             second = first
-        material = _checked_material(name, material)
+        table = checked_table(name, material, _checked_material) if isinstance(material, Mapping) else None
+        first_material = _checked_material(name, material) if table is None else table.materials[0]
         firsts = self._solids(f"{name}.first", first)
         seconds = self._solids(f"{name}.second", second)
         if set(firsts) != set(seconds):
             for solid in firsts:
                 _check_first(name, solid)
+        excluded = self._excluded(name, exclude, {*firsts, *seconds})
+        pairs = _pairs_of(firsts, seconds, excluded)
+        if not pairs:
+            where = f"body {firsts[0].body.name!r}" if firsts[0].body else "the world"
+            reason = f"all solids are fixed to {where}; one must move"
+            if len({solid.body for solid in (*firsts, *seconds)}) > 1:
+                reason = "exclude, groups and masks leave no pair of solids on different bodies"
+            raise ValueError(f"{name}: {reason}")
+        if table is not None:
+            check_pairs(name, table, (*firsts, *seconds), pairs)
+            first_material = next(one for one in table.find_all(pairs) if one is not None)
         options = options_of(name, kappa, max_depth, None, force_scale, enabled, color, visible)
         del options["torsion_radius"]
         contact = BodyContact(
             name=name,
             first=tuple(firsts),
             second=tuple(seconds),
-            material=material,
-            exclude=self._excluded(name, exclude, {*firsts, *seconds}),
+            material=first_material,
+            table=table,
+            exclude=excluded,
             reference=checks.choice(f"{name}.reference", reference, tuple(REFERENCES)),
             **options,
         )
-        if not contact.pairs:
-            where = f"body {firsts[0].body.name!r}" if firsts[0].body else "the world"
-            reason = f"all solids are fixed to {where}; one must move"
-            if contact.exclude:
-                reason = "exclude leaves no pair of solids on different bodies"
-            raise ValueError(f"{name}: {reason}")
         for pair in contact.pairs:
             _check_pair(name, *pair)
         self.body_contacts.append(contact)
@@ -240,7 +267,9 @@ class BodyContacts:
         for i, pair in enumerate(pairs):
             label = f"{name}.exclude[{i}]"
             if not isinstance(pair, list | tuple) or len(pair) != 2:
-                raise TypeError(f"{label} must be a pair of surfaces, shapes or bodies, got {pair!r}")
+                raise TypeError(
+                    f"{label} must be a pair of surfaces, shapes, bodies, or lists of them, got {pair!r}"
+                )
             one, other = (self._solids(label, side) for side in pair)
             for solid in (*one, *other):
                 if solid not in solids:
@@ -270,6 +299,21 @@ class BodyContacts:
         for solid in solids:
             _check_solid(label, solid)
         return solids
+
+
+def _pairs_of(
+    first: Sequence[Solid], second: Sequence[Solid], exclude: Sequence[tuple[Solid, Solid]]
+) -> tuple[tuple[Solid, Solid], ...]:
+    """Returns the pairs of first and second solids on different bodies, unless groups, masks or ``exclude`` prevent contact."""
+    excluded = {frozenset(pair) for pair in exclude}
+    found: dict[frozenset[Solid], tuple[Solid, Solid]] = {}
+    for one, other in itertools.product(first, second):
+        key = frozenset((one, other))
+        may_touch = bool(one.group & other.mask) and bool(other.group & one.mask)
+        if one.body is not other.body and may_touch and key not in excluded:
+            # Each pair once, although lists may have common elements.
+            found.setdefault(key, (other, one) if _must_be_second(one) else (one, other))
+    return tuple(found.values())
 
 
 def unsupported_reason(first: Solid, second: Solid, material: ContactMaterial | None = None) -> str | None:
@@ -356,7 +400,7 @@ def _checked_material(name: str, material: Any) -> ContactMaterial:
         ValueError: If body contact does not support one of its parts.
     """
     if not isinstance(material, ContactMaterial):
-        raise TypeError(f"material of {name!r} must be a wc.ContactMaterial, got {material!r}")
+        raise TypeError(f"material of {name!r} must be a wc.ContactMaterial, or a table of them, got {material!r}")
     law, friction = material.law, material.friction
     for part in ("rolling", "torsion"):
         formula = material.formulas[part]

@@ -45,6 +45,8 @@ MIN_ANGLE_DIFFERENCE = 1.0e-3
 MOST_MINIMA = 64
 #: Values of ``minima``.
 MINIMA = ("nearest", "all")
+#: Bits of all groups of surfaces and shapes.
+ALL_GROUPS = 0xFFFFFFFF
 
 
 @explain_keywords_of
@@ -155,6 +157,9 @@ class Surface:
     orientation: Array
     scale: Array
     active: tuple[NDArray[np.bool_], ...]  # (F,) of each mesh
+    group: int  # bits
+    mask: int  # bits
+    physics_material: str | None
     color: Array | None
     visible: bool
 
@@ -314,6 +319,22 @@ def check_owned(label: str, given: Any, kind: type, elements: Mapping[str, Any],
     """Raises ``ValueError`` unless ``given`` is one of the ``elements`` of a scene, which ``method`` adds."""
     if not isinstance(given, kind) or elements.get(given.name) is not given:  # type: ignore[attr-defined]
         raise ValueError(f"{label} must come from {method} of this scene, got {checks.element(given)}")
+
+
+def group_bits(name: str, value: Any) -> int:
+    """Returns the bits of groups; raises ``ValueError`` if they are not a whole number of 32 bits."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= ALL_GROUPS:
+        raise ValueError(
+            f"{name} must be a whole number from 0 to {ALL_GROUPS:#x}, one bit for each group, got {value!r}"
+        )
+    return int(value)
+
+
+def physics_material_name(name: str, value: Any) -> str | None:
+    """Returns the checked name of a physics material."""
+    if value is not None and (not isinstance(value, str) or not value):
+        raise TypeError(f"{name} must be a name, such as 'steel', or None, got {value!r}")
+    return value
 
 
 def options_of(

@@ -22,6 +22,7 @@ from warpcontact.scene.add_bodies import Bodies
 from warpcontact.scene.body_contact import BodyContact, BodyContacts
 from warpcontact.scene.couplings import Coupling, Couplings
 from warpcontact.scene.elements import (
+    ALL_GROUPS,
     AREA,
     DEFAULT_GROUP_ANGLE,
     GROUP_ANGLE,
@@ -41,8 +42,10 @@ from warpcontact.scene.elements import (
     check_arms,
     check_group_angle,
     check_owned,
+    group_bits,
     mesh_of,
     options_of,
+    physics_material_name,
 )
 from warpcontact.scene.particles import ParticleContact, ParticleContacts
 from warpcontact.scene.scene_element import ForceElements, SceneElement
@@ -149,6 +152,9 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, BodyContacts
         flip: bool = False,
         active_faces: Any = None,
         name: str | None = None,
+        group: int = 1,
+        mask: int = ALL_GROUPS,
+        physics_material: str | None = None,
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> Surface:
@@ -166,6 +172,9 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, BodyContacts
                 or a list of names; or a function that gets the centroids (F, 3) [m], in the mesh frame, and returns
                 a mask. Default: all. With a list of meshes, a list with one entry per mesh.
             name: Name in parameters and sensors. Default: generated.
+            group: Bits of the groups of the surface, for body contacts.
+            mask: Bits of the groups with which it can be in body contact, see ``add_shape``.
+            physics_material: Name of its material, for tables of contact materials of ``add_body_contact``.
             color: Display color, RGB in 0…1.
             visible: Whether it is drawn.
 
@@ -197,6 +206,9 @@ class SceneData(Bodies, Couplings, ShapeContacts, ParticleContacts, BodyContacts
             ),
             scale=checks.numbers(f"{name}.scale", scale, (), SCALE),
             active=tuple(active),
+            group=group_bits(f"{name}.group", group),
+            mask=group_bits(f"{name}.mask", mask),
+            physics_material=physics_material_name(f"{name}.physics_material", physics_material),
             color=checks.color(f"{name}.color", color),
             visible=checks.switch(f"{name}.visible", visible),
         )

@@ -19,7 +19,15 @@ from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
 from warpcontact.kernels.shapes.revolution import Torus
 from warpcontact.kernels.types import WORLD
 from warpcontact.meshes import icosphere
-from warpcontact.scene.elements import Body, ContactMaterial, check_owned, options_of
+from warpcontact.scene.elements import (
+    ALL_GROUPS,
+    Body,
+    ContactMaterial,
+    check_owned,
+    group_bits,
+    options_of,
+    physics_material_name,
+)
 from warpcontact.storage.parameters import pack
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.devices import find_device
@@ -28,9 +36,6 @@ from warpcontact.validation.checks import Array, limits
 
 if TYPE_CHECKING:
     from warpcontact.scene.scene_data import SceneData
-
-#: All groups.
-ALL = 0xFFFFFFFF
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +53,7 @@ class Shape:
     orientations: Array  # (n, 4) rotation of its frame to that of the body, quaternion
     group: int  # bits
     mask: int  # bits
+    physics_material: str | None
     color: Array | None
     visible: bool
 
@@ -162,7 +168,8 @@ class ShapeContacts:
         *,
         name: str | None = None,
         group: int = 1,
-        mask: int = ALL,
+        mask: int = ALL_GROUPS,
+        physics_material: str | None = None,
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> Shape:
@@ -175,9 +182,10 @@ class ShapeContacts:
             position: Origin of its frame in the frame of the body [m]; for a set one for all, or (n, 3).
             orientation: Rotation shape → body, quaternion (x, y, z, w); for a set one for all, or (n, 4).
             name: Name in parameters and sensors. Default: generated.
-            group: Bits of the groups of the shape, for particle contacts.
+            group: Bits of the groups of the shape, for particle and body contacts.
             mask: Bits of the groups with which it can be in contact. Two shapes can be in contact if each is in a
                 group of the mask of the other.
+            physics_material: Name of its material, for tables of contact materials of ``add_body_contact``.
             color: Display color, RGB in 0…1.
             visible: Whether it is drawn.
 
@@ -199,8 +207,9 @@ class ShapeContacts:
             orientations=checks.unit_quaternions(
                 f"{name}.orientation", _each(f"{name}.orientation", orientation, count, single, 4)
             ),
-            group=_bits(f"{name}.group", group),
-            mask=_bits(f"{name}.mask", mask),
+            group=group_bits(f"{name}.group", group),
+            mask=group_bits(f"{name}.mask", mask),
+            physics_material=physics_material_name(f"{name}.physics_material", physics_material),
             color=checks.color(f"{name}.color", color),
             visible=checks.switch(f"{name}.visible", visible),
         )
@@ -338,14 +347,6 @@ def _each(name: str, value: ArrayLike, count: int, single: bool, width: int) -> 
     full = (width,) if single or shape != (count, width) else (count, width)
     values = checks.numbers(name, value, full, limits("m") if width == 3 else checks.FINITE)
     return np.array(np.broadcast_to(values, (count, width)))
-
-
-def _bits(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= ALL:
-        raise ValueError(
-            f"{name} must be a whole number from 0 to {ALL:#x}, one bit for each group, got {value!r}"
-        )
-    return int(value)
 
 
 # Subdivisions of an icosahedron for convex shapes; steps per parameter for parametric surfaces and tori.

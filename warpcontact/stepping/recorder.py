@@ -15,6 +15,7 @@ from warpcontact._version import __version__
 from warpcontact.forces.sensor import AXES
 from warpcontact.model.environments import Environments
 from warpcontact.model.model import DeviceModel
+from warpcontact.scene.body_contact import BodyContact
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.stepping.frame_buffers import Channel, Frame
 from warpcontact.stepping.frame_copies import FrameCopies
@@ -105,6 +106,10 @@ def replay_parameters(model: Environments) -> list[str]:
         formulas = contact.material.formulas
         values = {f"friction.{key}": value for key, value in formulas["friction"].parameters().items()}
         values["law.restitution"] = getattr(formulas["law"], "restitution", None)
+        if isinstance(contact, BodyContact) and contact.table is not None:
+            # One value per pair.
+            parts = {part: contact.parameters(part) for part in ("law", "friction")}
+            values = {key: parts[key.partition(".")[0]].get(key.partition(".")[2]) for key in values}
         first |= {f"{contact.name}.{key}": value for key, value in values.items() if value is not None}
     known = model.parts[0].parameters
     return [name for name, value in first.items() if name in known and not _equals(model, name, value)]

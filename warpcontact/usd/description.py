@@ -90,8 +90,12 @@ class _Description:
                 self._targets(
                     path, name, [self._shared_path(*each) for each in zip(value, copy_index, strict=True)]
                 )
+            case tuple() if isinstance(value[0], ContactMaterial):
+                self._targets(path, name, [self._shared_path(one) for one in value])
             case tuple():
                 self._targets(path, name, [self.paths[one.name] for one in value])
+            case list() if isinstance(value[0], str):
+                self._value(path, name, value)
             case list():  # one mask per mesh
                 self._value(path, name, np.concatenate(value), rows=True)
             case ShapeParameters():

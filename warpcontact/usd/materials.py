@@ -1,7 +1,7 @@
 """Materials of UsdPhysics and Newton: friction, restitution and stiffness of colliders, from their contacts."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,10 @@ from warpcontact.drawing.replay import Replay
 from warpcontact.kernels import shapes
 from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.shapes.base import Shape as Form
-from warpcontact.scene.elements import Contact
+from warpcontact.scene.body_contact import BodyContact
+from warpcontact.scene.elements import Contact, ContactMaterial
 from warpcontact.scene.shapes import Shape, ShapeContact
-from warpcontact.usd.author import WORLD
+from warpcontact.usd.author import WORLD, identifiers
 from warpcontact.validation.checks import Array
 
 _FLAT = (shapes.Plane, shapes.RoundedBox)
@@ -53,12 +54,14 @@ class UsdMaterial:
 
     Attributes:
         name: Name of the first contact with this material.
+        prim: Name of its prim if the contact has a table of contact materials; otherwise that of the contact.
         values: Coefficients ``"static"``, ``"dynamic"`` and ``"restitution"``, and the values of NewtonMaterialAPI
             ``"stiffness"`` [N/m], ``"damping"`` [N·s/m], ``"rolling"`` [m] and ``"torsion"`` [m], each (env,).
     """
 
     name: str
     values: dict[str, Array]
+    prim: str | None = None
 
     @property
     def shared(self) -> bool:
@@ -81,8 +84,13 @@ class UsdMaterials:
     def __init__(self, replay: Replay) -> None:
         found: dict[tuple[tuple[str, bytes], ...], UsdMaterial] = {}
         self._by_collider: dict[tuple[str, str], UsdMaterial] = {}
-        for contact, colliders in _contacts(replay):
-            material = _material(replay, contact)
+        contacts = list(_contacts(replay))
+        parts = [f"{contact.name}_{part.name}" for contact, part, _ in contacts if part is not None]
+        prims = identifiers(parts, reserved=replay.scene.element_names())
+        for contact, part, colliders in contacts:
+            material = _material(replay, contact, part)
+            if part is not None:
+                material = replace(material, prim=prims[f"{contact.name}_{part.name}"])
             material = found.setdefault(material.key, material)
             for collider in colliders if material.values else ():
                 self._by_collider.setdefault(collider, material)
@@ -99,34 +107,66 @@ class UsdMaterials:
         return material is not None and not material.shared
 
 
-def _contacts(replay: Replay) -> Iterator[tuple[Any, list[tuple[str, str]]]]:
+@dataclass(frozen=True)
+class _TablePart:
+    """Pairs of a body contact that give the material of solids of one physics material.
+
+    Attributes:
+        name: The physics material.
+        material: Contact material of the pairs.
+        items: Numbers of the pairs.
+    """
+
+    name: str
+    material: ContactMaterial
+    items: list[int]
+
+
+def _contacts(replay: Replay) -> Iterator[tuple[Any, _TablePart | None, list[tuple[str, str]]]]:
+    """Yields contacts, a part of those with a table of contact materials, and their colliders."""
     scene = replay.scene
     for contact in scene.contacts:
-        yield contact, [("points", contact.points.name), ("surface", contact.surface.name)]
+        yield contact, None, [("points", contact.points.name), ("surface", contact.surface.name)]
     for shape_contact in scene.shape_contacts:
-        yield shape_contact, [("shape", shape.name) for shape in shape_contact.shapes]
+        yield shape_contact, None, [("shape", shape.name) for shape in shape_contact.shapes]
     for particle_contact in scene.particle_contacts:
-        yield particle_contact, [("shape", shape.name) for shape in particle_contact.shapes]
+        yield particle_contact, None, [("shape", shape.name) for shape in particle_contact.shapes]
     for body_contact in scene.body_contacts:
         solids = dict.fromkeys((*body_contact.first, *body_contact.second))
-        yield body_contact, [("shape" if isinstance(one, Shape) else "surface", one.name) for one in solids]
+        named = {one: ("shape" if isinstance(one, Shape) else "surface", one.name) for one in solids}
+        if body_contact.table is None:
+            yield body_contact, None, list(named.values())
+            continue
+        for part in _table_parts(body_contact):
+            yield body_contact, part, [key for one, key in named.items() if one.physics_material == part.name]
 
 
-def _material(replay: Replay, contact: Any) -> UsdMaterial:
-    formulas = contact.material.formulas
+def _table_parts(contact: BodyContact) -> Iterator[_TablePart]:
+    """Yields the part of each physics material: pairs with itself, or, without them, with the first other one."""
+    pairs = [(first.physics_material, second.physics_material) for first, second in contact.pairs]
+    for name in sorted({one for pair in pairs for one in pair if one is not None}):
+        own = [pair for pair in pairs if name in pair]
+        chosen = (name, name) if (name, name) in own else own[0]
+        items = [i for i, pair in enumerate(pairs) if set(pair) == set(chosen)]
+        yield _TablePart(name, contact.materials[items[0]], items)
+
+
+def _material(replay: Replay, contact: Any, part: _TablePart | None) -> UsdMaterial:
+    formulas = (contact if part is None else part).material.formulas
+    items = None if part is None else part.items
     values: dict[str, Array] = {}
     for name, groups in (("static", STATIC), ("dynamic", DYNAMIC)):
-        found = _coefficient(replay, contact.name, "friction", formulas["friction"], groups)
+        found = _coefficient(replay, contact.name, "friction", formulas["friction"], groups, items)
         if found is not None:
             values[name] = found
     law = formulas["law"]
     restitution = getattr(law, "restitution", None)
     if restitution is not None:
-        values["restitution"] = _values(replay, f"{contact.name}.law.restitution", restitution)
+        values["restitution"] = _values(replay, f"{contact.name}.law.restitution", restitution, items)
     for name in _LINEAR if law.power == 1.0 else ():
         value = getattr(law, name, None)
         if value is not None and law.limits(name)["unit"] == _LINEAR[name]:
-            values[name] = _values(replay, f"{contact.name}.law.{name}", value)
+            values[name] = _values(replay, f"{contact.name}.law.{name}", value, items)
     if "stiffness" in values and {"restitution", "damping"}.isdisjoint(law.parameters()):
         values["damping"] = np.zeros(
             len(replay.envs)
@@ -140,7 +180,12 @@ def _material(replay: Replay, contact: Any) -> UsdMaterial:
 
 
 def _coefficient(
-    replay: Replay, contact: str, part: str, friction: Friction, groups: tuple[tuple[str, ...], ...]
+    replay: Replay,
+    contact: str,
+    part: str,
+    friction: Friction,
+    groups: tuple[tuple[str, ...], ...],
+    items: list[int] | None = None,
 ) -> Array | None:
     """Returns a coefficient of friction, rolling or torsion of a contact, (env,), or ``None`` if it has none."""
     if isinstance(friction, Frictionless):
@@ -148,7 +193,7 @@ def _coefficient(
     group = next((one for one in groups if all(hasattr(friction, key) for key in one)), None)
     if group is None:
         return None
-    each = [_values(replay, f"{contact}.{part}.{key}", getattr(friction, key)) for key in group]
+    each = [_values(replay, f"{contact}.{part}.{key}", getattr(friction, key), items) for key in group]
     return np.asarray(np.mean(each, axis=0))
 
 
@@ -177,18 +222,19 @@ def _torsion_arm(replay: Replay, contact: Any) -> Array | None:
     return _values(replay, f"{contact.name}.torsion_radius", contact.torsion_radius)
 
 
-def _values(replay: Replay, name: str, default: float) -> Array:
-    """Returns a coefficient, recorded or from the scene, (env,); for a set, the mean over its items."""
+def _values(replay: Replay, name: str, default: float, items: list[int] | None = None) -> Array:
+    """Returns a coefficient, recorded or from the scene, (env,); for a set, the mean over its items, or over ``items``."""
     count = len(replay.envs)
     if name not in replay.data:
         return np.full(count, float(default))
     recorded: Array = replay.variable(name).transpose("env", ...).values.astype(np.float64).reshape(count, -1)
-    return recorded.mean(axis=1)
+    return (recorded if items is None else recorded[:, items]).mean(axis=1)
 
 
 def material_path(material: UsdMaterial, names: dict[str, str], env: str) -> str:
     """Returns the path of a material: below the world if shared, else below the environment ``env``."""
-    return f"{WORLD if material.shared else env}/PhysicsMaterials/{names[material.name]}"
+    name = names[material.name] if material.prim is None else material.prim
+    return f"{WORLD if material.shared else env}/PhysicsMaterials/{name}"
 
 
 def define_material(stage: Any, path: str, material: UsdMaterial, row: int) -> None:

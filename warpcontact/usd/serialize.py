@@ -24,6 +24,7 @@ from warpcontact.scene.body_contact import BodyContact
 from warpcontact.scene.contact_coupling import ContactCoupling
 from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
 from warpcontact.scene.elements import Body, Contact, Points, Surface
+from warpcontact.scene.material_table import MaterialTable
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.scene_element import SceneElement
@@ -64,6 +65,8 @@ FORCE_ELEMENT = "force_element"
 SWITCHES = ("enabled", "tension_only")
 # Arguments that are contained in another one: the meshes of a surface are stored as flipped.
 _DERIVED_ARGUMENTS = {"surface": ("flip",)}
+# Values that stand for an argument: normals of sampled points, and the table of contact materials, see ``_table_values``.
+_ADDED_ARGUMENTS = {"points": ("normals",), "body_contact": ("pair_names", "pair_materials")}
 
 
 def is_custom(kind: type[Formula]) -> bool:
@@ -154,12 +157,12 @@ class ShapeParameters:
 
 @functools.cache
 def argument_names(kind: str) -> tuple[str, ...]:
-    """Returns the argument names of elements of a kind; ``points`` can have ``normals`` as well."""
+    """Returns the argument names of elements of a kind, and the names of further values that stand for an argument."""
     names = tuple(inspect.signature(getattr(SceneData, ADDERS[kind])).parameters)[1:]
     names_without_derived = tuple(
         name for name in names if name != "name" and name not in _DERIVED_ARGUMENTS.get(kind, ())
     )
-    return (*names_without_derived, "normals") if kind == "points" else names_without_derived
+    return (*names_without_derived, *_ADDED_ARGUMENTS.get(kind, ()))
 
 
 @functools.cache
@@ -279,8 +282,29 @@ def _call_arguments(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]
             solids = list(dict.fromkeys((*element.first, *element.second)))
             pairs = [[solids.index(one) for one in pair] for pair in element.exclude]
             excluded = np.array(pairs, dtype=np.int32) if pairs else None
-            return "body_contact", {"exclude": excluded, **_max_depth(element)}, ("exclude",)
+            values = {"exclude": excluded, **_max_depth(element), **_table_values(element.table)}
+            return "body_contact", values, ("exclude", "pair_materials")
     raise TypeError(f"{element.name!r} is a {type(element).__name__} and cannot be serialized")
+
+
+def _table_values(table: MaterialTable | None) -> dict[str, Any]:
+    """Returns a table of contact materials as arguments.
+
+    ``material`` has its contact materials, ``pair_names`` two names of physics materials for each entry, and
+    ``pair_materials`` the index of its contact material; −1: no contact. Empty names stand for the default entry.
+    """
+    if table is None:
+        return {"pair_names": None, "pair_materials": None}
+    materials = table.materials
+    entries = list(table.entries.items())
+    if table.has_default:
+        entries.append((("", ""), table.default))
+    numbers = {id(material): number for number, material in enumerate(materials)}
+    return {
+        "material": tuple(materials),
+        "pair_names": [name for pair, _ in entries for name in pair],
+        "pair_materials": np.array([numbers.get(id(one), -1) for _, one in entries], dtype=np.int32),
+    }
 
 
 def _motion(body: Body) -> Motion | None:

@@ -177,7 +177,7 @@ def test_errors_of_excluded_pairs_name_the_pair():
         scene.add_body_contact(box, floor, MATERIAL, exclude=[(box, outside)])
     with pytest.raises(TypeError, match=r"exclude\[0\] must be a pair"):
         scene.add_body_contact(box, floor, MATERIAL, exclude=[box])
-    with pytest.raises(ValueError, match="exclude leaves no pair"):
+    with pytest.raises(ValueError, match="exclude, groups and masks leave no pair"):
         scene.add_body_contact([box, floor], MATERIAL, exclude=[(box, floor)])
 
 

@@ -136,6 +136,8 @@ class _Restoration:
         if "exclude" in given:
             elements = given["shapes"] if kind == "particle_contact" else [*given["first"], *given["second"]]
             given["exclude"] = _pairs(given["exclude"], list(dict.fromkeys(elements)))
+        if kind == "body_contact":
+            _join_table(given)
         return getattr(scene, ADDERS[kind])(**given)
 
     def _force_element(self, scene: SceneData, record: Record) -> Any:
@@ -160,7 +162,7 @@ class _Restoration:
             if self.objects.get(path) is None:
                 raise ValueError(f"{key} must be earlier prims of the description, got {shortened(path)}")
         found = [self.objects[path] for path in paths]
-        if key in _LISTS or (key == "mesh" and len(found) > 1):
+        if key in _LISTS or (key in ("mesh", "material") and len(found) > 1):
             return found
         if len(found) != 1:
             raise ValueError(f"{key} must have one target, got {len(found)}")
@@ -246,6 +248,29 @@ def _split_mask(given: dict[str, Any]) -> None:
         if np.shape(mask) != (sum(counts),):
             raise ValueError(f"active_faces must be a mask of {sum(counts)} faces, got {np.shape(mask)}")
         given["active_faces"] = np.split(mask, np.cumsum(counts)[:-1])
+
+
+def _join_table(given: dict[str, Any]) -> None:
+    """Joins the values of a table of contact materials of a body contact to its argument ``material``."""
+    names, numbers = given.pop("pair_names", None), given.pop("pair_materials", None)
+    materials = given.get("material")
+    if names is None and numbers is None:
+        if isinstance(materials, list):
+            raise ValueError(
+                f"material must have one target, got {len(materials)}, because there are no pair_names"
+            )
+        return
+    count = 0 if names is None else len(names) // 2
+    index = np.asarray([] if numbers is None else numbers)
+    every = materials if isinstance(materials, list) else [materials]
+    if not count or len(names) != 2 * count or index.shape != (count,) or index.dtype.kind != "i":
+        raise ValueError("pair_names must have two names for each entry of pair_materials")
+    if index.min() < -1 or index.max() >= len(every):
+        raise ValueError(f"pair_materials must be indices from -1 to {len(every) - 1}, got {shortened(index)}")
+    keys = [None if pair == ("", "") else pair for pair in zip(names[::2], names[1::2], strict=True)]
+    if len(set(keys)) < len(keys):
+        raise ValueError("pair_names must be different pairs")
+    given["material"] = {key: None if i < 0 else every[i] for key, i in zip(keys, index.tolist(), strict=True)}
 
 
 def _pairs(numbers: Any, shapes: list[Any]) -> list[tuple[Any, Any]]:
