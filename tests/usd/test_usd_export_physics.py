@@ -227,3 +227,27 @@ def test_stage_custom_data_describes_the_export(joined, tmp_path):
     notes = stage.GetRootLayer().customLayerData["warpcontact"]
     assert notes["schema"] == 1
     assert notes["source"] == f"warpcontact {wc.__version__}"
+
+
+def test_solids_have_the_usd_material_of_their_entry_in_a_table(device, tmp_path):
+    scene = wc.Scene()
+    floor = scene.add_shape(None, wc.shapes.Plane(), name="floor", physics_material="steel")
+    solids = [floor]
+    for number, name in enumerate(("steel", "rubber")):
+        body = scene.add_body(1.0, (1, 1, 1), position=(2 * number, 0, 0.1), name=f"body_{number}")
+        solids.append(scene.add_shape(body, wc.shapes.RoundedBox((0.1,) * 3), physics_material=name, name=name))
+    law = wc.laws.KelvinVoigt(stiffness=1e4, restitution=0.5)
+    table = {
+        pair: wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=mu, velocity_scale=0.01))
+        for pair, mu in {("steel", "steel"): 0.2, ("rubber", "steel"): 0.6}.items()
+    }
+    scene.add_body_contact(solids, table, name="bin")
+    model = scene.build(2, device)
+    # The pairs are steel and floor, rubber and floor, rubber and steel.
+    model["bin.friction.mu"] = [[0.2, 0.6, 0.6], [0.3, 0.8, 0.8]]
+    stage = export(wc.Simulation(model, 1e-3).run(2e-3), tmp_path)
+    for env, values in enumerate(((0.2, 0.6), (0.3, 0.8))):
+        for number, (name, mu) in enumerate(zip(("steel", "rubber"), values, strict=True)):
+            found = bound_material(stage, f"/World/env_{env}/body_{number}/{name}")
+            assert found == pytest.approx([mu, mu, 0.5])
+    assert wc.check_usd(tmp_path / "stage.usda") == []

@@ -148,3 +148,73 @@ def test_torsional_friction_of_a_body_contact_is_reported(tmp_path):
     assert kinds(scene) == (1, 0, 0)
     assert isinstance(scene.body_contacts[0].material.torsion, wc.friction.Frictionless)
     assert any("newton:torsionalFriction is ignored in 1 body contacts" in one for one in scene.import_warnings)
+
+
+BOUND = 'prepend apiSchemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"]'
+
+
+def of_materials(*names, group=""):
+    """Static floor, and bodies with a cube each, with physics materials of these names."""
+    stuff = "".join(prim("Material", name, 'prepend apiSchemas = ["PhysicsMaterialAPI"]') for name in set(names))
+    bound = [f"rel material:binding:physics = </{name}>\n" for name in names]
+    parts = prim("Plane", "floor", BOUND, 'uniform token axis = "Z"\n' + bound[0])
+    for i, binding in enumerate(bound[1:]):
+        parts += body(
+            f"body_{i}", f"{WEIGHT}\n" + prim("Cube", f"box_{i}", BOUND, binding), moved(3 * i, 0, 0.999)
+        )
+    return stuff + parts + group
+
+
+def elastic(stiffness):
+    return wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=stiffness))
+
+
+def test_table_of_materials_is_by_names_of_physics_materials(tmp_path):
+    table = {("steel", "steel"): elastic(1e8), ("rubber", "steel"): elastic(1e6), None: None}
+    scene = read(stage(tmp_path, of_materials("steel", "steel", "rubber", "rubber")), material=table)
+    found = {frozenset(one.name for one in c.pairs[0]): c.material.law.stiffness for c in scene.body_contacts}
+    soft = [("box_1", "floor"), ("box_2", "floor"), ("box_0", "box_1"), ("box_0", "box_2")]
+    assert found == {frozenset(("box_0", "floor")): 1e8} | {frozenset(pair): 1e6 for pair in soft}
+    model = scene.build(device="cpu", precision="float64")
+    # k A δ of a face of 2 m.
+    assert model.sensor("box_0_floor.normal_force")[0] == pytest.approx(1e8 * 4.0 * 1e-3, rel=1e-9)
+    assert model.sensor("box_1_floor.normal_force")[0] == pytest.approx(1e6 * 4.0 * 1e-3, rel=1e-9)
+
+
+def test_bin_of_several_materials_with_groups_has_the_pairs_of_usdphysics(tmp_path):
+    """Physics materials of each collider, a collision group that does not collide with itself, and filtered pairs."""
+    group = prim(
+        "PhysicsCollisionGroup",
+        "fingers",
+        'prepend apiSchemas = ["CollectionAPI:colliders"]',
+        "rel collection:colliders:includes = [</body_0>, </body_1>]\nrel physics:filteredGroups = </fingers>",
+    )
+    scene = read(stage(tmp_path, of_materials("steel", "steel", "rubber", "rubber", group=group)))
+    names = ["floor", "box_0", "box_1", "box_2"]
+    expected = {frozenset((one, other)) for one in names for other in names if one != other}
+    assert {frozenset(pair) for pair in contact_pairs(scene)} == expected - {frozenset(("box_0", "box_1"))}
+    assert [one.physics_material for one in scene.shapes] == ["steel", "steel", "rubber", "rubber"]
+
+
+@pytest.mark.parametrize(
+    ("table", "error", "message"),
+    [
+        ({("steel", "steel"): elastic(1e8)}, wc.UsdError, "no entry for colliders with .*'rubber'"),
+        (
+            {("stele", "steel"): elastic(1e8), None: None},
+            ValueError,
+            "'stele', but no collider .* 'rubber', 'steel'",
+        ),
+        ({"steel": elastic(1e8)}, TypeError, "a key must be a pair of names"),
+        ({None: "soft"}, TypeError, r"from_usd\.material\[None\] must be a wc.ContactMaterial"),
+    ],
+)
+def test_invalid_table_of_materials_is_refused(tmp_path, table, error, message):
+    with pytest.raises(error, match=message):
+        read(stage(tmp_path, of_materials("steel", "steel", "rubber")), material=table)
+
+
+@pytest.mark.parametrize("other", ["plane", "cube", "mesh"])
+@pytest.mark.parametrize("curved", ["sphere", "ellipsoid"])
+def test_curved_collider_has_body_contact_with_a_law_per_area(tmp_path, curved, other):
+    assert kinds(pair(tmp_path, curved, other, material=elastic(1e8))) == (1, 0, 0)

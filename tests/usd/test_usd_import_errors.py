@@ -219,7 +219,7 @@ def test_number_of_triangles_is_limited(tmp_path):
     [
         ({"contact_time": 0.0}, ValueError, "contact_time must be greater than 0"),
         ({"samples": "all"}, ValueError, "samples must be a whole number of points"),
-        ({"material": "rubber"}, TypeError, r"material must be a wc.ContactMaterial or None"),
+        ({"material": "rubber"}, TypeError, r"material must be a wc.ContactMaterial, a table of them, or None"),
         ({"skip_unsupported": "yes"}, ValueError, "skip_unsupported must be True or False"),
         ({"limits": 3}, TypeError, "limits must be a Limits or None"),
     ],

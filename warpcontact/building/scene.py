@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from warpcontact.building.model import Model, SplitModel
     from warpcontact.kernels.catalogue.device_model import Formula
     from warpcontact.meshes.isolation import Limits
+    from warpcontact.scene.material_table import GivenTable
     from warpcontact.scene.scene_element import SceneElement
 
 
@@ -38,7 +39,7 @@ class Scene(SceneData):
         path: str | os.PathLike[str],
         *,
         custom_types: "Iterable[type[Formula] | type[SceneElement]]" = (),
-        material: ContactMaterial | None = None,
+        material: "ContactMaterial | GivenTable | None" = None,
         contact_time: float = 0.01,
         samples: int | str | None = None,
         skip_unsupported: bool = False,
@@ -57,7 +58,8 @@ class Scene(SceneData):
             custom_types: User-defined classes of laws, friction models, springs, motions, shapes and force elements
                 that a stage of ``export_usd`` refers to. Classes of force elements that are registered by an imported
                 module can be omitted.
-            material: Contact material of all contacts of other stages. Default: from the physics materials.
+            material: Contact material of all contacts of other stages; or a table of them, as for ``add_body_contact``, by the
+                names of the physics materials that are bound to colliders. Default: from the physics materials.
             contact_time: Duration of an impact in other stages, from which the contact stiffness is computed [s].
             samples: Contact of meshes in other stages at sample points, see ``add_surface_contact``. Default: body
                 contact, see ``add_body_contact``.

@@ -89,6 +89,25 @@ def checked_table(name: str, given: GivenTable, check: Callable[[str, Any], Cont
     return table
 
 
+def check_names(name: str, table: MaterialTable, used: Iterable[str | None], meaning: str) -> None:
+    """Checks that all physics materials of a table occur.
+
+    Args:
+        name: Name of the element with the table.
+        table: The table.
+        used: Physics materials that occur.
+        meaning: End of the message: "no … has this physics material".
+
+    Raises:
+        ValueError: If not; the message names those that occur.
+    """
+    present = {one for one in used if one is not None}
+    for own in table.names:
+        if own not in present:
+            known = ", ".join(repr(one) for one in sorted(present)) or "none"
+            raise ValueError(f"{name}.material has an entry for {own!r}, but no {meaning}; there are: {known}")
+
+
 def check_pairs(
     name: str,
     table: MaterialTable,
@@ -100,13 +119,7 @@ def check_pairs(
     Raises:
         ValueError: If not, or if a physics material of the table is that of no solid. The message names them.
     """
-    used = {solid.physics_material for solid in solids} - {None}
-    for own in table.names:
-        if own not in used:
-            known = ", ".join(repr(one) for one in sorted(map(str, used))) or "none"
-            raise ValueError(
-                f"{name}.material has an entry for {own!r}, but no solid has this physics_material; there are: {known}"
-            )
+    check_names(name, table, (solid.physics_material for solid in solids), "solid has this physics_material")
     found: dict[int, ContactMaterial] = {}
     for first, second in pairs:
         try:

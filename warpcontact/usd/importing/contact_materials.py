@@ -8,6 +8,8 @@ from typing import Any
 from warpcontact.kernels.friction import CundallStrack, Friction, Frictionless
 from warpcontact.kernels.laws import KelvinVoigt
 from warpcontact.scene.elements import Body, ContactMaterial
+from warpcontact.scene.material_table import MaterialTable
+from warpcontact.usd.importing.findings import InvalidValue
 
 #: Default coefficient of friction of colliders without one.
 FRICTION = 0.5
@@ -78,10 +80,12 @@ class Side:
     Attributes:
         material: Physics material of the collider.
         body: Body that forces move; ``None``: fixed or kinematic.
+        name: Name of the physics material; ``None``: there is none.
     """
 
     material: PhysicsMaterial
     body: Body | None
+    name: str | None = None
 
     @property
     def mass(self) -> float:
@@ -98,17 +102,39 @@ class ContactMaterials:
     """Combines the physics materials of both sides into contact materials, shared by equal contacts.
 
     Args:
-        given: Contact material of all contacts; ``None``: from the physics materials.
+        given: Contact material of all contacts, or a table of them; ``None``: from the physics materials.
         contact_time: Duration of an impact [s], which gives the stiffness if no material does.
     """
 
-    def __init__(self, given: ContactMaterial | None, contact_time: float) -> None:
+    def __init__(self, given: ContactMaterial | MaterialTable | None, contact_time: float) -> None:
         self.given = given
         self.contact_time = contact_time
         self.made: dict[tuple[float | None, ...], tuple[ContactMaterial, dict[str, Any]]] = {}
         self._elastic = 0  # number of contacts that use the damping of a material and ignore its restitution
         self._rolling: list[str] = []  # contacts that ignore the rolling friction of a material
         self._torsion: list[str] = []  # contacts that ignore its torsional friction
+
+    def are_apart(self, first: Side, second: Side) -> bool:
+        """Returns whether the table of contact materials excepts contact of two colliders."""
+        return isinstance(self.given, MaterialTable) and self.given_for(first, second) is None
+
+    def given_for(self, first: Side, second: Side) -> ContactMaterial | None:
+        """Returns the given contact material of two colliders; ``None``: it follows from the physics materials.
+
+        Raises:
+            InvalidValue: If the table has no entry for them.
+        """
+        if not isinstance(self.given, MaterialTable):
+            return self.given
+        try:
+            return self.given.find(first.name, second.name)
+        except KeyError:
+            names = " and ".join(
+                "no physics material" if one is None else repr(one) for one in (first.name, second.name)
+            )
+            raise InvalidValue(
+                f"the table of materials has no entry for colliders with {names}, and no default entry, with the key None"
+            ) from None
 
     def combine(
         self, label: str, first: Side, second: Side, radius: float | None, *, over_area: bool = False
@@ -122,8 +148,9 @@ class ContactMaterials:
             radius: Rolling radius [m]; ``None``: there is none, or it depends on the contact point.
             over_area: Whether friction acts over the area of contact, which includes torsional friction.
         """
-        if self.given is not None:
-            return self.given, {}
+        given = self.given_for(first, second)
+        if given is not None:
+            return given, {}
         mixed = first.material.with_other(second.material)
         if mixed.damping is not None and mixed.restitution > 0.0:
             self._elastic += 1

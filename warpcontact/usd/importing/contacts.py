@@ -13,6 +13,7 @@ from warpcontact.kernels import shapes
 from warpcontact.meshes import sample_surface
 from warpcontact.scene.body_contact import Solid, unsupported_reason
 from warpcontact.scene.elements import Body, ContactMaterial, Points, Surface
+from warpcontact.scene.material_table import MaterialTable
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.shapes import Shape
 from warpcontact.usd.importing.contact_materials import ContactMaterials, PhysicsMaterial, Side
@@ -133,6 +134,7 @@ class Collider:
         geometry: Shape or mesh in the frame of the body.
         material: Physics material.
         visible: Whether it is drawn.
+        material_name: Name of the prim of the physics material; ``None``: there is none.
         shape: Shape element, once added.
         surface_element: Surface element, once added.
         centre: Point element at the center, once added.
@@ -146,6 +148,7 @@ class Collider:
     geometry: ColliderShape
     material: PhysicsMaterial
     visible: bool
+    material_name: str | None = None
     shape: Shape | None = None
     surface_element: Surface | None = None
     centre: Points | None = None
@@ -154,7 +157,7 @@ class Collider:
     @property
     def side(self) -> Side:
         """Material and movable body, for the combination of materials."""
-        return Side(self.material, self.body if self.moves else None)
+        return Side(self.material, self.body if self.moves else None, self.material_name)
 
     @property
     def solid(self) -> Solid:
@@ -179,7 +182,13 @@ class Collider:
             return
         position, rotation = self.geometry.position, self.geometry.orientation
         self.shape = scene.add_shape(
-            self.body, self.geometry.form, position, rotation, name=self.name, visible=self.visible
+            self.body,
+            self.geometry.form,
+            position,
+            rotation,
+            name=self.name,
+            physics_material=self.material_name,
+            visible=self.visible,
         )
 
     def surface(self, scene: SceneData) -> Surface:
@@ -193,7 +202,13 @@ class Collider:
                 is_mesh and self.visible,
             )
             self.surface_element = scene.add_surface(
-                mesh, self.body, position, rotation, name=name, visible=visible
+                mesh,
+                self.body,
+                position,
+                rotation,
+                name=name,
+                physics_material=self.material_name,
+                visible=visible,
             )
         return self.surface_element
 
@@ -230,7 +245,7 @@ class ContactBuilder:
 
     Args:
         scene: Scene to add to.
-        material: Contact material of all contacts; ``None``: from the physics materials.
+        material: Contact material of all contacts, or a table of them; ``None``: from the physics materials.
         contact_time: Duration of an impact [s], which gives the stiffness if no material does.
         samples: Sampling of meshes, as for ``add_surface_contact``; ``None``: body contact.
     """
@@ -238,13 +253,14 @@ class ContactBuilder:
     def __init__(
         self,
         scene: SceneData,
-        material: ContactMaterial | None,
+        material: ContactMaterial | MaterialTable | None,
         contact_time: float,
         samples: int | str | None,
     ) -> None:
         self.scene = scene
         self.samples = samples
         self.combiner = ContactMaterials(material, contact_time)
+        self.has_table = isinstance(material, MaterialTable)
         self.remarks: list[str] = []
         self._body_pairs: list[BodyPair] = []
         self._unsupported: dict[str, list[str]] = {}  # reasons why pairs have no body contact, by kind of contact
@@ -256,7 +272,8 @@ class ContactBuilder:
             colliders: Colliders of the scene.
             excluded: Index pairs (n, 2) without contact, each with the lower index first, sorted.
         """
-        groups = group_particles([_particle_key(collider) for collider in colliders], MIN_PARTICLES)
+        keys = [_particle_key(collider, self.has_table) for collider in colliders]
+        groups = group_particles(keys, MIN_PARTICLES)
         for number, exclude in enumerate(pairs_within_groups(groups, excluded)):
             self._add_particles([colliders[i] for i in np.flatnonzero(groups == number)], exclude, colliders)
         carriers: dict[Body | None, int] = {}
@@ -284,6 +301,8 @@ class ContactBuilder:
 
     def _add_particles(self, members: list[Collider], excluded: Numbers, colliders: list[Collider]) -> None:
         heaviest = max(members, key=lambda first: first.side.mass)
+        if self.combiner.are_apart(heaviest.side, heaviest.side):
+            return
         radii = {first.geometry.form.radius for first in members}  # type: ignore[union-attr]
         radius = radii.pop() / 2.0 if len(radii) == 1 else None
         label = f"the particle contact of {members[0].name!r}"
@@ -293,6 +312,8 @@ class ContactBuilder:
 
     def _add_pair(self, first: Collider, second: Collider) -> None:
         scene = self.scene
+        if self.combiner.are_apart(first.side, second.side):
+            return
         name = scene.new_name(f"{first.name}_{second.name}", None)
         form, second_form = first.geometry.form, second.geometry.form
         sphere, surface_side = (first, second) if first.is_a(shapes.Sphere) else (second, first)
@@ -323,18 +344,17 @@ class ContactBuilder:
         has_mesh = first.geometry.form is None or second.geometry.form is None
         if self.samples is not None and has_mesh:
             return False
-        if first.is_a(shapes.Sphere) or second.is_a(shapes.Sphere):
+        given = self.combiner.given_for(first.side, second.side)
+        # Contact at one point has no area for a law per area.
+        per_area = given is not None and given.law.takes_area
+        if (first.is_a(shapes.Sphere) or second.is_a(shapes.Sphere)) and not per_area:
             return False
-        if not has_mesh and (first.is_a(shapes.Ellipsoid) or second.is_a(shapes.Ellipsoid)):
+        if not has_mesh and (first.is_a(shapes.Ellipsoid) or second.is_a(shapes.Ellipsoid)) and not per_area:
             return False
         # A rolling cylinder or capsule keeps the rolling friction of its material, which body contact does not have.
-        if (
-            radius is not None
-            and self.combiner.given is None
-            and first.material.with_other(second.material).rolling
-        ):
+        if radius is not None and given is None and first.material.with_other(second.material).rolling:
             return False
-        reason = unsupported_reason(first.solid, second.solid, self.combiner.given)
+        reason = unsupported_reason(first.solid, second.solid, given)
         if reason is not None:
             kind = "of sample points" if has_mesh else "at one point"
             self._unsupported.setdefault(kind, []).append(reason)
@@ -403,8 +423,8 @@ def _shape(first: Collider) -> Shape:
     return first.shape
 
 
-def _particle_key(first: Collider) -> tuple[float | None, ...] | None:
+def _particle_key(first: Collider, has_table: bool) -> tuple[float | str | None, ...] | None:
     """Returns the key that particles of one particle contact share; ``None``: not a particle."""
     if first.moves and first.is_a(shapes.Sphere, shapes.Capsule):
-        return astuple(first.material)
+        return astuple(first.material) + ((first.material_name,) if has_table else ())
     return None

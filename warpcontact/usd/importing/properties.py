@@ -80,6 +80,7 @@ def read_mass(prim: Any, placement: Array, time: Any, metres: float, kilograms: 
         return found
     api = UsdPhysics.MassAPI(prim)
     found["mass"] = kilograms * number(api.GetMassAttr(), time, least=0.0)
+    found["name"] = str(prim.GetName())
     found["density"] = number(api.GetDensityAttr(), time, least=0.0) * kilograms / metres**3
     moments, axes = _tensor(prim, time)
     if moments is None:
@@ -139,7 +140,7 @@ def read_material(prim: Any, time: Any, metres: float, kilograms: float, finding
         findings: Receives remarks.
 
     Returns:
-        ``static``, ``dynamic``, ``restitution`` [-], ``stiffness`` [N/m], ``damping`` [N·s/m], ``rolling`` and
+        ``name`` of the prim; ``static``, ``dynamic``, ``restitution`` [-], ``stiffness`` [N/m], ``damping`` [N·s/m], ``rolling`` and
         ``torsion`` [m], ``None`` if not authored; ``density`` [kg/m³], 0 if not authored.
 
     Raises:
@@ -156,6 +157,7 @@ def read_material(prim: Any, time: Any, metres: float, kilograms: float, finding
             ("restitution", api.GetRestitutionAttr(), 1.0),
         )
     }
+    found["name"] = str(prim.GetName())
     found["density"] = number(api.GetDensityAttr(), time, least=0.0) * kilograms / metres**3
     for key, (name, length, mass) in NEWTON.items():
         attribute = prim.GetAttribute(name)

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from math import prod
 from pathlib import Path
@@ -16,6 +16,7 @@ from warpcontact.kernels.joints import Fixed, Prescribed
 from warpcontact.meshes.isolation import Limits, array_of, header_of, read_sandboxed, unexpected_answer
 from warpcontact.meshes.readers import USD_SUFFIXES, Unreadable
 from warpcontact.scene.elements import Body, ContactMaterial
+from warpcontact.scene.material_table import GivenTable, MaterialTable, check_names, checked_table
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.scene.scene_element import SceneElement
 from warpcontact.scene.surface_contact import check_amount
@@ -42,7 +43,7 @@ def build_scene(
     physics: dict[str, Any],
     subject: str,
     *,
-    material: ContactMaterial | None,
+    material: ContactMaterial | MaterialTable | None,
     contact_time: float,
     samples: int | str | None,
     skip_unsupported: bool,
@@ -52,7 +53,7 @@ def build_scene(
     Args:
         physics: Result of ``read_physics``.
         subject: Name of the stage in messages.
-        material: Contact material of all contacts; ``None``: from the physics materials.
+        material: Contact material of all contacts, or a table of them; ``None``: from the physics materials.
         contact_time: Duration of an impact [s].
         samples: Sampling of meshes, as for ``add_surface_contact``; ``None``: body contact.
         skip_unsupported: Whether to omit what has no counterpart instead of raising an error.
@@ -77,7 +78,7 @@ class _Assembly:
     def scene(
         self,
         subject: str,
-        material: ContactMaterial | None,
+        material: ContactMaterial | MaterialTable | None,
         contact_time: float,
         samples: int | str | None,
         skip: bool,
@@ -108,6 +109,13 @@ class _Assembly:
             colliders.append(self._collider(record, name, carrier, one, shift))
         for one in colliders:
             self._collect_errors({"path": one.path}, partial(one.add, scene))
+        if isinstance(material, MaterialTable):
+            check_names(
+                "from_usd",
+                material,
+                (one.material_name for one in colliders),
+                "collider has this physics material",
+            )
         contact_builder = ContactBuilder(scene, material, contact_time, samples)
         apart = numbers[self.physics["apart"]]
         self._collect_errors(
@@ -213,7 +221,10 @@ class _Assembly:
         )
         moves = record["body"] >= 0 and not self.physics["bodies"][record["body"]]["kinematic"]
         material = PhysicsMaterial.of(record["material"])
-        return Collider(record["path"], name, body, moves, placed, material, bool(record["visible"]))
+        material_name = (record["material"] or {}).get("name")
+        return Collider(
+            record["path"], name, body, moves, placed, material, bool(record["visible"]), material_name
+        )
 
 
 def _local(body: dict[str, Any], position: Array) -> Array:
@@ -266,11 +277,17 @@ def element_names(paths: list[str]) -> list[str]:
     return names
 
 
+def _checked_entry(label: str, given: Any) -> ContactMaterial:
+    if not isinstance(given, ContactMaterial):
+        raise TypeError(f"{label} must be a wc.ContactMaterial or None, got {given!r}")
+    return given
+
+
 def scene_from_usd(
     path: str | os.PathLike[str],
     *,
     custom_types: Iterable[type[Formula] | type[SceneElement]],
-    material: ContactMaterial | None,
+    material: ContactMaterial | GivenTable | None,
     contact_time: float,
     samples: int | str | None,
     skip_unsupported: bool,
@@ -278,8 +295,9 @@ def scene_from_usd(
     limits: Limits | None,
 ) -> SceneData:
     """Returns the scene of a USD file; arguments and errors as for ``Scene.from_usd``."""
-    if material is not None and not isinstance(material, ContactMaterial):
-        raise TypeError(f"material must be a wc.ContactMaterial or None, got {material!r}")
+    given = checked_table("from_usd", material, _checked_entry) if isinstance(material, Mapping) else material
+    if given is not None and not isinstance(given, ContactMaterial | MaterialTable):
+        raise TypeError(f"material must be a wc.ContactMaterial, a table of them, or None, got {material!r}")
     if limits is not None and not isinstance(limits, Limits):
         raise TypeError(f"limits must be a Limits or None, got {limits!r}")
     duration = float(checks.numbers("contact_time", contact_time, (), allowed("s", above=0.0)))
@@ -298,7 +316,7 @@ def scene_from_usd(
     return build_scene(
         found["physics"],
         subject,
-        material=material,
+        material=given,
         contact_time=duration,
         samples=amount,
         skip_unsupported=skip,
