@@ -22,6 +22,7 @@ class BodyContactSettings:
     kappa: wp.float64  # the force of a column acts at kappa × its length from the second solid [-]
     max_depth: wp.float64  # largest depth of the overlap that counts as contact [m]
     force_scale: wp.float64  # factor on forces and torques [-]
+    margin: wp.float64  # smallest gap up to which nonsmooth contact finds points [m]
     reference: wp.float64  # weight of the columns on the second solid; < 0: it follows from the flatness of both
     enabled: wp.int32  # 0 or 1
 

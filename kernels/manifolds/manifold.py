@@ -355,7 +355,9 @@ def find_manifolds(real: type, has_convex: bool, has_meshes: bool, has_curved: b
                 )
                 half_space = (second.flags & HALF_SPACE) != 0
                 are_convex = features.is_convex[pose_1.geometry] == 1 and features.is_convex[pose_2.geometry] == 1
-                reach = reach_of_pair(first, second, are_convex or half_space, displacement)
+                reach = reach_of_pair(
+                    first, second, are_convex or half_space, wp.max(displacement, setting.margin)
+                )
                 pose = PairPose()
                 near = may_touch(state, env, body_2, pose_2, second, place, radius, reach.margin)
                 if near:

@@ -150,7 +150,7 @@ def shape_scene():
     ]
     foundation = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e7))
     scene.add_body_contact(sides, plane, foundation, kappa=0.4, reference="second", max_depth=0.01, name="press")
-    scene.add_body_contact([*sides, plane], foundation, exclude=[(plane, sides[0])], name="touch")
+    scene.add_body_contact([*sides, plane], foundation, exclude=[(plane, sides[0])], margin=0.02, name="touch")
     plate = scene.add_surface(wc.meshes.box((1, 1, 0.1)), group=2, mask=3, physics_material="steel", name="slab")
     stiff = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=3e7))
     table = {("steel", "steel"): stiff, ("steel", "rubber"): foundation, ("rubber", "rubber"): None, None: stiff}

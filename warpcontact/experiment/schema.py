@@ -287,6 +287,7 @@ class BodyContactSettings(Section):
     reference: Literal["auto", "first", "second", "average"] = "auto"
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
     max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
+    margin: Annotated[float, q.numbers((), allowed=limits_of.MARGIN)] = 0.0
     force_scale: Annotated[float, q.numbers((), allowed=limits_of.FORCE_SCALE)] = 1.0
     enabled: bool = True
     color: Color | None = None

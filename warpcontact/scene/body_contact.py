@@ -16,7 +16,7 @@ from warpcontact.kernels.contact.contact_evaluation import ContactModel
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.rounded_box import RoundedBox
-from warpcontact.scene.elements import Body, ContactMaterial, Surface, check_owned, options_of
+from warpcontact.scene.elements import MARGIN, Body, ContactMaterial, Surface, check_owned, options_of
 from warpcontact.scene.material_table import GivenTable, MaterialTable, check_pairs, checked_table
 from warpcontact.scene.shapes import Shape
 from warpcontact.validation import checks
@@ -56,6 +56,7 @@ class BodyContact:
     reference: str
     kappa: Array
     max_depth: Array
+    margin: Array
     force_scale: Array
     enabled: Array
     color: Array | None
@@ -175,6 +176,7 @@ class BodyContacts:
         reference: str = "auto",
         kappa: float = 0.5,
         max_depth: float | None = None,
+        margin: float = 0.0,
         force_scale: float = 1.0,
         enabled: bool = True,
         name: str | None = None,
@@ -209,6 +211,8 @@ class BodyContacts:
                 Two curved shapes have a common plane instead.
             kappa: The force of a column acts at κ times its length from the second solid.
             max_depth: Maximum depth of a contact [m]. Default: unlimited.
+            margin: Gap up to which nonsmooth contact finds points, at least [m]. Points within the distance of two steps are
+                always found.
             force_scale: Factor on forces and torques of this contact.
             enabled: Whether the contact is enabled.
             name: Name in parameters and sensors. Default: generated.
@@ -250,6 +254,7 @@ class BodyContacts:
             material=first_material,
             table=table,
             exclude=excluded,
+            margin=checks.numbers(f"{name}.margin", margin, (), MARGIN),
             reference=checks.choice(f"{name}.reference", reference, tuple(REFERENCES)),
             **options,
         )

@@ -314,3 +314,31 @@ def test_cube_bounces_with_its_restitution(impacts, device):
     wc.Simulation(model, dt=1e-3, integrator=moreau_jean(impacts=impacts)).step(40)
     np.testing.assert_allclose(model.sensor("cube.linear_velocity"), [[0, 0, 0.5]] * 3, atol=1e-7)
     np.testing.assert_allclose(model.sensor("cube.angular_velocity"), 0, atol=1e-7)
+
+
+def test_margin_shows_larger_gaps_and_does_not_change_the_motion(device):
+    """Without a margin, points are found up to 10⁻³ of the size, and the distance of two steps."""
+    gap = 5e-3
+    scene = wc.Scene(gravity=(0, 0, -G))
+    plane = add_floor(scene, "plane")
+    cube = add_cube(scene, "cube", position=(0, 0, SIDE / 2 + gap))
+    tube = scene.add_body(1.0, (0.1,) * 3, position=(1, 0, 0.1 + gap), name="tube")
+    cylinder = scene.add_shape(tube, wc.shapes.Cylinder(0.1, 0.2), orientation=(np.sqrt(0.5), 0, 0, np.sqrt(0.5)))
+    for name, solid in (("touch", cube), ("roll", cylinder)):
+        scene.add_body_contact(solid, plane, rigid(mu=0.5), name=name)
+    model = scene.build(envs=2, device=device, precision="float64")
+    for name in ("touch", "roll"):
+        model[f"{name}.margin"] = [0.0, 0.01]
+    sim = wc.Simulation(model, dt=1e-3, integrator=moreau_jean())
+    sim.step()
+    for name, count in (("touch", 4), ("roll", 2)):
+        found = model.sensor(f"{name}.point_gap")
+        assert np.isnan(found[0]).all()
+        # Sensors of the step are those at its middle, after half of the fall of g h².
+        np.testing.assert_allclose(found[1, :count], gap - 0.5 * G * 1e-3**2, atol=1e-12)
+    # After the impact, both come to rest at the same places.
+    sim.step(100)
+    for body in ("cube", "tube"):
+        position = model.sensor(f"{body}.position")
+        np.testing.assert_allclose(position[1], position[0], atol=1e-12)
+        np.testing.assert_allclose(position[:, 2], 0.1, atol=1e-9)

@@ -42,6 +42,7 @@ _PURPOSE = "body contacts"
 _RANGES = {
     "kappa": limits_of.KAPPA,
     "max_depth": limits_of.MAX_DEPTH,
+    "margin": limits_of.MARGIN,
     "force_scale": limits_of.FORCE_SCALE,
     "enabled": limits_of.ENABLED,
 }
