@@ -153,13 +153,115 @@ def test_force_of_scaled_mesh_boxes_grows_with_the_cube_of_the_scale(device):
     np.testing.assert_allclose(force, np.tile(force[1], (3, 1)), rtol=1e-10, atol=1e-10 * np.abs(force[1]).max())
 
 
+def triangulated_box(size, seed):
+    """Returns a box whose sides are triangulated at random: points on edges and sides, and random diagonals."""
+    rng = np.random.default_rng(seed)
+    half = np.array(size) / 2
+    splits = [np.r_[-1.0, np.sort(rng.uniform(-0.9, 0.9, rng.integers(0, 3))), 1.0] for _ in range(3)]
+    vertices, faces = [], []
+    for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        u, v = splits[first], splits[second]
+        for sign in (-1.0, 1.0):
+            for i in range(len(u) - 1):
+                for k in range(len(v) - 1):
+                    corners = np.zeros((4, 3))
+                    corners[:, axis] = sign
+                    corners[:, first] = [u[i], u[i + 1], u[i + 1], u[i]]
+                    corners[:, second] = [v[k], v[k], v[k + 1], v[k + 1]]
+                    corners = corners if sign > 0 else corners[::-1]
+                    start = len(vertices)
+                    vertices += list(corners)
+                    kind = rng.integers(0, 3)
+                    if kind == 2:
+                        # A point inside, with one triangle for each edge.
+                        vertices.append(rng.dirichlet(np.ones(4)) @ corners)
+                        faces += [[start + m, start + (m + 1) % 4, start + 4] for m in range(4)]
+                    elif kind == 1:
+                        faces += [[start, start + 1, start + 2], [start, start + 2, start + 3]]
+                    else:
+                        faces += [[start + 1, start + 2, start + 3], [start + 1, start + 3, start]]
+    return wc.Mesh(half * np.array(vertices), np.array(faces))
+
+
+def test_force_does_not_depend_on_the_triangulation_of_a_box(device):
+    """Each environment has other triangulations of the same two boxes."""
+    count, meshes = 60, 10
+    size = (SIDE, 0.8 * SIDE, 1.3 * SIDE)
+    position, orientation = poses(count)
+    results = []
+    for seed in (0, 1):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        body = scene.add_body(mass=1.0, inertia=(1, 1, 1), name="upper_body")
+        boxes = [triangulated_box(size, 100 * seed + i) for i in range(meshes)]
+        upper = scene.add_surface(boxes if seed else [wc.meshes.box(size)], body, name="upper")
+        lower = scene.add_surface(boxes[::-1] if seed else [wc.meshes.box(size)], name="lower")
+        material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=K))
+        scene.add_body_contact(upper, lower, material, name="press")
+        model = scene.build(envs=count, device=device, precision="float64")
+        model["upper_body.position"], model["upper_body.orientation"] = position, orientation
+        if seed:
+            model["upper.mesh"] = model["lower.mesh"] = np.arange(count) % meshes
+        results.append([model.sensor(f"press.{key}") for key in ("force", "torque", "area", "depth", "reference")])
+    assert (np.linalg.norm(results[0][0], axis=1) > 0).sum() > count / 3
+    for plain, other in zip(*results, strict=True):
+        # Rounding of points on edges and sides, 1e-17 m, over the smallest depths.
+        np.testing.assert_allclose(other, plain, atol=1e-9 * np.abs(plain).max())
+
+
+def test_tilted_box_has_no_side_force_on_a_box_as_on_a_plane(device):
+    """Without friction, an edge or a vertex of a box on a face is pushed along the normal of the face."""
+    count = 90
+    rng = np.random.default_rng(4)
+    tilts = np.radians(np.tile([0.1, 1.0, 5.0, 15.0, 30.0, 45.0], count // 6))
+    turns = Rotation.from_rotvec(np.column_stack([np.zeros((count, 2)), rng.uniform(0, 2 * np.pi, count)]))
+    axes = rng.normal(size=(count, 2))
+    axes[::3] = [0.0, 1.0]  # an edge that is parallel to the face
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    rotations = turns * Rotation.from_rotvec(np.column_stack([tilts[:, None] * axes, np.zeros(count)]))
+    corners = SIDE / 2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    lowest = np.array([rotation.apply(corners)[:, 2].min() for rotation in rotations])
+    position = np.zeros((count, 3))
+    position[:, 2] = -lowest - rng.uniform(1e-5, 2e-3, count)
+    results = []
+    for mesh, on_plane in ((False, True), (False, False), (True, False)):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        body = scene.add_body(mass=1.0, inertia=(1, 1, 1), name="body")
+        if mesh:
+            upper = scene.add_surface(wc.meshes.box((SIDE,) * 3), body)
+            lower = scene.add_surface(wc.meshes.box((1.0, 1.0, 0.2)), position=(0, 0, -0.1))
+        else:
+            upper = scene.add_shape(body, wc.shapes.RoundedBox((SIDE / 2,) * 3))
+            lower = scene.add_shape(None, wc.shapes.RoundedBox((0.5, 0.5, 0.1)), position=(0, 0, -0.1))
+        if on_plane:
+            lower = scene.add_shape(None, wc.shapes.Plane())
+        material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=K))
+        scene.add_body_contact(upper, lower, material, name="press")
+        model = scene.build(envs=count, device=device, precision="float64")
+        model["body.position"], model["body.orientation"] = position, rotations.as_quat()
+        results.append((model.sensor("press.force"), model.sensor("press.torque")))
+    force, torque = results[0]
+    assert force[:, 2].min() > 0
+    bottom = np.array([rotation.apply(corners[corners[:, 2] < 0])[:, 2] for rotation in rotations]) + position[:, 2:]
+    # If a wall that leans inward is partly below the plane, a half-space also carries what is beyond the section of the box with
+    # the plane, which is narrower by the depth times the tangent of the tilt. It is so if more than the lowest vertex, or the
+    # lowest edge, is below.
+    sunk = (bottom < 0).sum(axis=1) > np.where(np.arange(count) % 3 == 0, 2, 1)
+    assert 10 < sunk.sum() < count - 10
+    tolerance = 1e-9 + sunk * -bottom.min(axis=1) * np.tan(tilts) / SIDE
+    for own_force, own_torque in results:
+        assert (np.linalg.norm(own_force[:, :2], axis=1) <= 1e-12 * own_force[:, 2]).all()
+        assert (np.abs(own_force - force)[:, 2] <= tolerance * force[:, 2]).all()
+        assert (np.linalg.norm(own_torque - torque, axis=1) <= tolerance * SIDE * force[:, 2]).all()
+
+
 def test_one_environment_equals_the_same_among_many_bitwise(device):
-    count = 64
+    count = 4096
     position, orientation = poses(count)
     many = two_boxes(device, count)
     many["upper_body.position"], many["upper_body.orientation"] = position, orientation
     forces = many.sensor("press.force")
     one = two_boxes(device, 1)
-    for i in range(0, count, 16):
+    for i in range(0, count, 512):
         one["upper_body.position"], one["upper_body.orientation"] = position[i], orientation[i]
         np.testing.assert_array_equal(one.sensor("press.force")[0], forces[i])
