@@ -242,7 +242,9 @@ def test_tilted_box_has_no_side_force_on_a_box_as_on_a_plane(device):
         results.append((model.sensor("press.force"), model.sensor("press.torque")))
     force, torque = results[0]
     assert force[:, 2].min() > 0
-    bottom = np.array([rotation.apply(corners[corners[:, 2] < 0])[:, 2] for rotation in rotations]) + position[:, 2:]
+    bottom = (
+        np.array([rotation.apply(corners[corners[:, 2] < 0])[:, 2] for rotation in rotations]) + position[:, 2:]
+    )
     # If a wall that leans inward is partly below the plane, a half-space also carries what is beyond the section of the box with
     # the plane, which is narrower by the depth times the tangent of the tilt. It is so if more than the lowest vertex, or the
     # lowest edge, is below.
