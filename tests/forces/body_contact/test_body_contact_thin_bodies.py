@@ -65,3 +65,21 @@ def test_thick_body_around_a_fixed_plate_is_pushed_off_it(device):
     np.testing.assert_allclose(
         model.sensor("press.force")[0], [0, 0, K * SIDE**2 * 2.0 * THICKNESS], rtol=1e-6, atol=1e-6
     )
+
+
+@pytest.mark.parametrize("law", [wc.laws.ElasticFoundation(stiffness=K), HOOKE], ids=["per area", "mean"])
+@pytest.mark.parametrize(
+    "upper", [wc.shapes.RoundedBox((0.03,) * 3), wc.shapes.Cylinder(0.03, 0.03)], ids=["box", "cylinder"]
+)
+def test_plate_never_pulls_a_body(upper, law, device):
+    """At any depth up to one and a half times its thickness, upright and tilted, in the middle and across an edge."""
+    depths = np.linspace(0.0, 1.5 * THICKNESS, 151)[1:]
+    scene = wc.Scene(gravity=(0, 0, 0))
+    body = scene.add_body(mass=1.0, inertia=(1, 1, 1), name="body")
+    plate = scene.add_shape(None, PLATE, position=(0, 0, -0.5 * THICKNESS))
+    scene.add_body_contact(scene.add_shape(body, upper), plate, wc.ContactMaterial(law=law), name="press")
+    model = scene.build(envs=len(depths), device=device, precision="float64")
+    for x, tilt in ((0.0, 0.0), (0.01, 0.05), (0.09, 0.0), (SIDE / 2, 0.02)):
+        model["body.position"] = np.column_stack([np.full_like(depths, x), 0 * depths, 0.03 - depths])
+        model["body.orientation"] = np.tile([0.0, np.sin(tilt / 2), 0.0, np.cos(tilt / 2)], (len(depths), 1))
+        assert model.sensor("press.force")[:, 2].min() > 0
