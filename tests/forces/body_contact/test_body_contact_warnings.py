@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
+from warpcontact.forces.body_contact.body_sums import sum_warnings
+from warpcontact.forces.body_contact.step_warnings import pair_estimates
 
 MASS, SIDE, MODULUS = 2.0, 0.1, 1e7
 
@@ -73,3 +75,84 @@ def test_time_step_is_compared_with_the_largest_side_around_a_curved_shape(form,
     assert wc.Simulation(model, dt=duration / 20.1).check() == []
     (sentence,) = wc.Simulation(model, dt=duration / 19.9).check()
     assert f"a contact lasts {duration:.2g} s" in sentence
+
+
+def plate_on_posts(device, *, mesh=False, one_contact=False):
+    """A plate of 1 m on nine posts; apart from them in the second environment. Returns the model and the side of the plate."""
+    scene = wc.Scene()
+    body = scene.add_body(
+        mass=MASS, inertia=np.array([1, 1, 2]) * MASS / 12, position=(0, 0, SIDE / 2), name="plate"
+    )
+    if mesh:
+        plate = scene.add_surface(wc.meshes.box((1.0, 1.0, SIDE)), body)
+    else:
+        plate = scene.add_shape(body, wc.shapes.RoundedBox((0.5, 0.5, SIDE / 2)))
+    material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=MODULUS))
+    posts = [
+        scene.add_shape(None, wc.shapes.RoundedBox((SIDE / 2,) * 3), position=(x, y, -SIDE / 2))
+        for x in (-0.4, 0.0, 0.4)
+        for y in (-0.4, 0.0, 0.4)
+    ]
+    if one_contact:
+        scene.add_body_contact(plate, posts, material, name="all")
+    else:
+        for i, post in enumerate(posts):
+            scene.add_body_contact(plate, post, material, name=f"on_{i}")
+    model = scene.build(envs=2, device=device, precision="float64")
+    model["plate.position"] = [[0, 0, SIDE / 2], [0, 0, 1.0]]
+    return model
+
+
+@pytest.mark.parametrize("options", [{}, {"mesh": True}, {"one_contact": True}])
+def test_stiffness_of_the_contacts_of_a_body_adds_up(options, device):
+    """A plate on nine springs rocks with λ = 6 k a²/I = 72 (0.4)² k/m, and heaves with 9 k/m."""
+    limit = np.pi / np.sqrt(72 * 0.4**2 * MODULUS * SIDE**2 / MASS) / 10
+    assert wc.Simulation(plate_on_posts(device, **options), dt=0.99 * limit).check() == []
+    model = plate_on_posts(device, **options)
+    (sentence,) = wc.Simulation(model, dt=1.01 * limit).check()
+    assert sentence.startswith(f"plate: dt = {1.01 * limit:g} s is too long for its 9 contacts together (")
+    assert "in environment 0" in sentence
+    assert f"Use dt ≤ {limit:.2g} s" in sentence
+    # Apart from the posts, it has no contact.
+    model["plate.position"] = [0, 0, 1.0]
+    assert wc.Simulation(model, dt=1.01 * limit).check() == []
+
+
+def test_stack_has_no_warning_at_the_time_step_of_a_pair(device):
+    """Three cubes on a floor have λ = 2 (1 − cos 5π/7) k/m, which ten steps in half a period allow."""
+    scene = wc.Scene()
+    solids = [scene.add_shape(None, wc.shapes.Plane(), name="floor")]
+    for i in range(3):
+        body = scene.add_body(mass=MASS, inertia=[MASS * SIDE**2 / 6] * 3, position=(0, 0, (i + 0.5) * SIDE))
+        solids.append(scene.add_shape(body, wc.shapes.RoundedBox((SIDE / 2,) * 3)))
+    material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=MODULUS))
+    contact = scene.add_body_contact(solids, material)
+    model = scene.build(device=device, precision="float64")
+    limit = np.pi / np.sqrt(2 * MODULUS * SIDE**2 / MASS) / 20
+    assert wc.Simulation(model, dt=0.99 * limit).check() == []
+    (group,) = model.parts[0].of_family("body contact")
+    estimates = [pair_estimates(model, contact, group)]
+    square = 2 * (1 - np.cos(5 * np.pi / 7)) * MODULUS * SIDE**2 / MASS
+    (sentence,) = sum_warnings(model, group.tables, estimates, 1.01 * np.pi / np.sqrt(square) / 10)
+    assert "contacts together" in sentence
+    assert sum_warnings(model, group.tables, estimates, 0.99 * np.pi / np.sqrt(square) / 10) == []
+
+
+def test_friction_of_the_pads_of_a_gripper_adds_up(device):
+    """A cube between two pads turns with the damping c r² of both: λ = 2 c r²/I = 3 c/m; a pair alone has 5/2 c/m."""
+    damping = 1e3
+    friction = wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1.0, damping=damping)
+    material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e4), friction=friction)
+    scene = wc.Scene()
+    cube = scene.add_body(mass=MASS, inertia=[MASS * SIDE**2 / 6] * 3, name="cube")
+    solid = scene.add_shape(cube, wc.shapes.RoundedBox((SIDE / 2,) * 3))
+    for side in (-1, 1):
+        pad = scene.add_shape(None, wc.shapes.RoundedBox((SIDE / 2,) * 3), position=(side * SIDE, 0, 0))
+        scene.add_body_contact(solid, pad, material)
+    model = scene.build(device=device, precision="float64")
+    limit = 2 * MASS / (3 * damping)
+    assert wc.Simulation(model, dt=0.99 * limit).check() == []
+    (sentence,) = wc.Simulation(model, dt=1.01 * limit).check()
+    assert "cube: " in sentence
+    assert "2 contacts together" in sentence
+    assert "friction is unstable" in sentence

@@ -8,10 +8,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.body_contact.body_sums import sum_warnings
 from warpcontact.forces.body_contact.curved_shapes import is_curved
 from warpcontact.forces.body_contact.manifold_set import ManifoldSet
 from warpcontact.forces.body_contact.solid_tables import SolidTables
-from warpcontact.forces.body_contact.step_warnings import body_contact_warnings
+from warpcontact.forces.body_contact.step_warnings import pair_estimates, pair_warnings
 from warpcontact.forces.contact_groups import add_material_parameters, compile_force_kernel
 from warpcontact.forces.contact_warnings import is_nonsmooth, nonsmooth_overlap_warnings
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget
@@ -256,14 +257,27 @@ class BodyContactSet(ForceElement):
         return any(is_nonsmooth(contact.name, nonsmooth) for contact in self.items)
 
     def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
-        """Returns the warnings about the time step, and about initial penetration of nonsmooth contacts."""
+        """Returns the warnings about the time step, and about initial penetration of nonsmooth contacts.
+
+        The first set returns those about the time step for all sets, because contacts of a body act together.
+        """
         sentences = []
         for contact in self.items:
             if is_nonsmooth(contact.name, nonsmooth):
                 sentences += nonsmooth_overlap_warnings(model, f"{contact.name}.depth", dt, nonsmooth)
-            else:
-                sentences += body_contact_warnings(model, contact, self, dt)
-        return sentences
+        if not self.computes_boxes:
+            return sentences
+        estimates = [
+            pairs
+            for one in model.parts[0].of_family(self.family)
+            for contact in one.items
+            if not is_nonsmooth(contact.name, nonsmooth)
+            and (pairs := pair_estimates(model, contact, one)) is not None
+        ]
+        alone = [sentence for pairs in estimates for sentence in pair_warnings(model, pairs, dt)]
+        if estimates and not alone:
+            alone = sum_warnings(model, self.tables, estimates, dt)
+        return sentences + alone
 
     def sensors(self) -> Iterator[Sensor]:
         """Yields the sensors of the body contacts."""

@@ -117,8 +117,11 @@ class SolidTables:
         """Returns the index of a solid."""
         return self._numbers[solid]
 
-    def half_extents(self, model: "Environments", solid: Solid) -> Array:
-        """Returns half of the size of the bounding box of a solid along its own axes, (envs, 3) [m]; infinite if it has none."""
+    def bounding_box(self, model: "Environments", solid: Solid) -> tuple[Array, Array]:
+        """Returns center and half of the size of the bounding box of a solid in its own frame, (envs, 3) each [m].
+
+        The size of a half-space is infinite.
+        """
         if isinstance(solid, Surface):
             first = self._first[self._numbers[solid]]
             bounds = np.array([one.bounds for one in self._geometries[first : first + len(solid.meshes)]])
@@ -126,16 +129,17 @@ class SolidTables:
             if len(solid.meshes) > 1:
                 number = np.asarray(model[f"{solid.name}.mesh"], dtype=int)
             scale = np.asarray(model[f"{solid.name}.scale"]).reshape(model.envs, 1)
-            return np.asarray(0.5 * (bounds[:, 1] - bounds[:, 0])[number] * scale)
+            center, half = 0.5 * (bounds[:, 1] + bounds[:, 0]), 0.5 * (bounds[:, 1] - bounds[:, 0])
+            return np.asarray(center[number] * scale), np.asarray(half[number] * scale)
         if solid.kind is Plane:
-            return np.full((model.envs, 3), np.inf)
+            return np.zeros((model.envs, 3)), np.full((model.envs, 3), np.inf)
         sizes = [
             np.asarray(model[f"{solid.name}.{key}"]).reshape(model.envs, -1) for key in size_names(solid.kind)
         ]
         if not is_curved(solid):
-            return sizes[0]
-        kind = CURVED_KINDS[solid.kind]
-        return 0.5 * (kind.upper - kind.lower) * curved_scale(solid.kind, sizes)
+            return np.zeros((model.envs, 3)), sizes[0]
+        kind, scale = CURVED_KINDS[solid.kind], curved_scale(solid.kind, sizes)
+        return 0.5 * (kind.upper + kind.lower) * scale, 0.5 * (kind.upper - kind.lower) * scale
 
     def has_one_patch(self, first: Solid, second: Solid) -> bool:
         """Returns whether all points have one normal: on half-spaces, of convex polyhedra, and of spheres and capsules."""

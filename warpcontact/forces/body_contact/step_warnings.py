@@ -11,6 +11,7 @@ from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.laws.formulas import contact_time
 from warpcontact.kernels.types import FIXED, PRESCRIBED, TIME_FUNCTION
 from warpcontact.scene.body_contact import Solid
+from warpcontact.scene.elements import Body
 from warpcontact.scene.mobility import MIN_MOBILITY
 from warpcontact.validation.checks import Array
 
@@ -24,19 +25,38 @@ if TYPE_CHECKING:
 STABLE_STEPS = 0.5 * np.pi
 
 
-def body_contact_warnings(
-    model: "Environments", contact: "BodyContact", group: "BodyContactSet", dt: float
-) -> list[str]:
-    """Returns the warnings about the time step of a body contact.
+@dataclass(frozen=True)
+class PairEstimates:
+    """Estimates of each pair of a body contact alone, (envs, pairs).
 
-    Estimates are those of each pair alone: bodies that meet with the largest side of the smaller one's bounding box, and
-    friction under the weight of the lighter one.
+    Bodies meet with the largest side of the smaller one's bounding box, and friction acts under the weight of the lighter one.
+
+    Attributes:
+        contact: The body contact.
+        area: Largest side of the smaller bounding box [m²].
+        mass: Effective mass along the normal [kg].
+        turning_mass: Effective mass for a force on a side [kg].
+        duration: Duration of an impact at the expected speed [s]; ``None``: the law has no elastic part.
+        steep_duration: Likewise, with the slope at the expected speed; ``None``: damping does not grow with the force.
+        friction: Dashpot slope [N·s/m] and spring slope [N/m] of the friction model; ``None``: there is none.
+    """
+
+    contact: "BodyContact"
+    area: Array
+    mass: Array
+    turning_mass: Array
+    duration: Array | None
+    steep_duration: Array | None
+    friction: tuple[Array, Array] | None
+
+
+def pair_estimates(model: "Environments", contact: "BodyContact", group: "BodyContactSet") -> PairEstimates | None:
+    """Returns the estimates of a body contact; ``None``: no body moves.
 
     Args:
         model: The model.
         contact: The body contact.
         group: Its set on the first device.
-        dt: Time step [s].
     """
     solids = {solid: _estimate(model, solid, group) for pair in contact.pairs for solid in pair}
     pairs = [(solids[first], solids[second]) for first, second in contact.pairs]
@@ -45,7 +65,7 @@ def body_contact_warnings(
     speed = np.stack([np.maximum(first.speed, second.speed) for first, second in pairs], axis=1)
     area = np.stack([np.minimum(first.side, second.side) for first, second in pairs], axis=1)
     if (mobility < MIN_MOBILITY).all():
-        return []
+        return None
     mass = 1.0 / np.maximum(mobility, MIN_MOBILITY)
     law = contact.material.law
     values = {
@@ -54,30 +74,43 @@ def body_contact_warnings(
     if contact.per_area:
         values["area"] = np.ones((1, 1))
     elastic = type(law).elastic(values)
-    sentences = []
+    duration = steep_duration = None
     if elastic is not None:
         shape = (model.envs, contact.count)
         stiffness, exponent = (np.broadcast_to(part, shape) for part in elastic)
         if contact.per_area:
             stiffness = stiffness * area
-        sentences = step_length_warnings(model, contact.name, contact_time(stiffness, exponent, mass, speed), dt)
-        if not sentences and law.bilinear and "damping" in values:
+        duration = contact_time(stiffness, exponent, mass, speed)
+        if law.bilinear and "damping" in values:
             # N = K δ (1 + χ δ̇): the slope at the expected speed.
             steep = stiffness * (1.0 + values["damping"] * speed)
-            duration = contact_time(steep, exponent, mass, speed)
-            sentences = step_length_warnings(model, contact.name, duration, dt, enough=STABLE_STEPS)
+            steep_duration = contact_time(steep, exponent, mass, speed)
     kind = contact.material.parts.friction
+    slopes = None
     if not issubclass(kind, Frictionless):
         gravity = np.linalg.norm(model["scene.gravity"], axis=1)[:, None]
         load = np.ascontiguousarray(np.broadcast_to(gravity * mass, (model.envs, contact.count)))
         slopes = steepest_slopes(model, kind, _friction(contact), load, np.zeros_like(load))
+    turning_mass = 1.0 / np.maximum(turning, MIN_MOBILITY)
+    return PairEstimates(contact, area, mass, turning_mass, duration, steep_duration, slopes)
+
+
+def pair_warnings(model: "Environments", pairs: PairEstimates, dt: float) -> list[str]:
+    """Returns the warnings about a time step [s] that is too long for a pair of a body contact alone."""
+    contact = pairs.contact
+    sentences = []
+    if pairs.duration is not None:
+        sentences = step_length_warnings(model, contact.name, pairs.duration, dt)
+    if not sentences and pairs.steep_duration is not None:
+        sentences = step_length_warnings(model, contact.name, pairs.steep_duration, dt, enough=STABLE_STEPS)
+    if pairs.friction is not None:
         sentences += unstable_friction_warning(
             model,
             contact.name,
             "friction",
-            kind,
-            slopes,
-            1.0 / np.maximum(turning, MIN_MOBILITY),
+            contact.material.parts.friction,
+            pairs.friction,
+            pairs.turning_mass,
             dt,
             "its weight",
         )
@@ -112,14 +145,20 @@ class _SolidEstimate:
     speed: Array
 
 
+def is_movable(body: Body | None) -> bool:
+    """Returns whether forces move a body; ``None``: the world."""
+    return body is not None and body.motion.kind not in (FIXED, PRESCRIBED, TIME_FUNCTION)
+
+
 def _estimate(model: "Environments", solid: Solid, group: "BodyContactSet") -> _SolidEstimate:
-    extents = np.sort(group.tables.half_extents(model, solid), axis=1)
+    _, half = group.tables.bounding_box(model, solid)
+    extents = np.sort(half, axis=1)
     side = 4.0 * extents[:, 1] * extents[:, 2]
     body = solid.body
     zero, speed = np.zeros(model.envs), np.full(model.envs, TYPICAL_SPEED)
     if body is not None:
         speed = expected_speed(model, body)[:, 0]
-    if body is None or body.motion.kind in (FIXED, PRESCRIBED, TIME_FUNCTION):
+    if body is None or not is_movable(body):
         return _SolidEstimate(side, zero, zero, speed)
     along = 1.0 / model[f"{body.name}.mass"]
     inertia = np.diagonal(model[f"{body.name}.inertia"], axis1=-2, axis2=-1).min(axis=-1)

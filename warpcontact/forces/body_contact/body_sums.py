@@ -1,0 +1,276 @@
+"""Warnings about time steps that are too long for all body contacts of a body together.
+
+Stiffness and damping of the contacts of a body add up: a brick between others is on springs at all of its sides. Each contact
+acts at the center of the common part of two bounding boxes, along the axis along which they overlap least, on the common area.
+With its Jacobian J and the stiffness k of each contact, the largest eigenvalue of M⁻¹ Σ k Jᵀ J is the square of the highest
+frequency [1/s²], and with the damping c that of M⁻¹ Σ c Jᵀ J the highest rate [1/s]. Power iteration finds them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpcontact.algebra.vectors import transform_points
+from warpcontact.forces.body_contact.step_warnings import STABLE_STEPS, PairEstimates, is_movable
+from warpcontact.scene.body_contact import Solid
+from warpcontact.scene.elements import Body
+from warpcontact.validation.checks import Array
+
+if TYPE_CHECKING:
+    from warpcontact.forces.body_contact.solid_tables import SolidTables
+    from warpcontact.model.environments import Environments
+
+#: Largest number of pairs in all environments that are checked, the first ones.
+MOST_PAIRS = 20_000
+#: Smallest number of steps in half a period of a body on all of its contacts: the period is then accurate to 0.4 %.
+MIN_STEPS = 10.0
+# Distance of bounding boxes in contact, relative to the size of the smaller one.
+_NEAR = 1.0e-3
+# Number of contacts that a message names.
+_NAMED = 4
+# Steps of power iteration; the eigenvalue is then accurate to 1 % or better.
+_ITERATIONS = 100
+
+
+def sum_warnings(
+    model: "Environments", tables: "SolidTables", estimates: Sequence[PairEstimates], dt: float
+) -> list[str]:
+    """Returns the warning about a time step that is too long for the contacts of a body together.
+
+    Args:
+        model: The model. The current poses decide which solids are in contact.
+        tables: The solids.
+        estimates: Estimates of the pairs of all compliant body contacts.
+        dt: Time step [s].
+    """
+    contacts = _near_contacts(model, tables, estimates)
+    if not contacts.near.any():
+        return []
+    normal, tangents = slice(0, 1), slice(1, 3)
+    for values, directions, effect, limit in (
+        (contacts.stiffness, normal, f"less than {MIN_STEPS:g} steps in half a period", _half_period(MIN_STEPS)),
+        (contacts.steep_stiffness, normal, "damping is unstable", _half_period(STABLE_STEPS)),
+        (contacts.dashpot, tangents, "friction is unstable", lambda rate: 2.0 / rate),
+        (contacts.spring, tangents, "friction is unstable", _half_period(STABLE_STEPS)),
+    ):
+        eigenvalue, body = _largest_eigenvalues(model, contacts, values, directions)
+        env = int(np.argmax(eigenvalue))
+        if eigenvalue[env] > 0.0 and limit(eigenvalue[env]) < dt:
+            return [_message(model, contacts, body[env], env, effect, limit(eigenvalue[env]), dt)]
+    return []
+
+
+def _half_period(steps: float) -> Callable[[float], float]:
+    """Returns a function of the square of a frequency [1/s²] that gives the time step for ``steps`` in half a period [s]."""
+    return lambda square: np.pi / (steps * np.sqrt(square))
+
+
+@dataclass(frozen=True)
+class _NearContacts:
+    """Pairs of solids of all contacts, in the first environments, (envs, pairs, …).
+
+    Attributes:
+        names: Name of the contact of each pair.
+        bodies: Bodies of each pair; ``None``: the world.
+        near: Whether the solids are in contact.
+        place: Point of contact, world [m].
+        axes: Normal, and two tangents, world (envs, pairs, 3, 3).
+        stiffness: Along the normal [N/m]; 0 if the law has no elastic part.
+        steep_stiffness: Likewise, with the slope at the expected speed.
+        dashpot: Along a tangent [N·s/m].
+        spring: Along a tangent [N/m].
+    """
+
+    names: list[str]
+    bodies: list[tuple[Body | None, Body | None]]
+    near: Array
+    place: Array
+    axes: Array
+    stiffness: Array
+    steep_stiffness: Array
+    dashpot: Array
+    spring: Array
+
+
+def _near_contacts(
+    model: "Environments", tables: "SolidTables", estimates: Sequence[PairEstimates]
+) -> _NearContacts:
+    pairs = [pair for one in estimates for pair in one.contact.pairs]
+    envs = min(model.envs, max(1, MOST_PAIRS // len(pairs)))
+    boxes = {
+        solid: _WorldBox.of(model, tables, solid, envs) for solid in dict.fromkeys(s for p in pairs for s in p)
+    }
+    near, place, normal, area = (
+        np.stack(values, axis=1)
+        for values in zip(*(_touch(boxes[first], boxes[second]) for first, second in pairs), strict=True)
+    )
+    shape = near.shape
+    # The tangents follow from the axis that is most across the normal.
+    helper = np.eye(3)[np.argmin(np.abs(normal), axis=2)]
+    tangent = np.cross(normal, helper)
+    tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
+    columns: dict[str, list[Array]] = {"stiffness": [], "steep": [], "dashpot": [], "spring": []}
+    start = 0
+    for one in estimates:
+        count = one.contact.count
+        own = area[:, start : start + count]
+        fraction = np.minimum(own / one.area[:envs], 1.0) if one.contact.per_area else np.ones_like(own)
+        start += count
+        zero = np.zeros_like(own)
+        for key, duration in (("stiffness", one.duration), ("steep", one.steep_duration)):
+            linear = zero if duration is None else one.mass[:envs] * (np.pi / duration[:envs]) ** 2 * fraction
+            columns[key].append(linear)
+        for key, slope in zip(("dashpot", "spring"), one.friction or (zero, zero), strict=True):
+            columns[key].append(np.maximum(np.broadcast_to(slope[:envs], own.shape), 0.0))
+    joined = {key: np.concatenate(values, axis=1) for key, values in columns.items()}
+    return _NearContacts(
+        [one.contact.name for one in estimates for _ in one.contact.pairs],
+        [(first.body, second.body) for first, second in pairs],
+        near.astype(np.float64).reshape(shape),
+        place,
+        np.stack([normal, tangent, np.cross(normal, tangent)], axis=2),
+        joined["stiffness"],
+        joined["steep"],
+        joined["dashpot"],
+        joined["spring"],
+    )
+
+
+@dataclass(frozen=True)
+class _WorldBox:
+    """Bounding box of a solid in the world.
+
+    Attributes:
+        center: Its center, (envs, 3) [m]; for a half-space, a point of its surface.
+        axes: Its axes as rows, (envs, 3, 3).
+        half: Half of its size along its axes, (envs, 3) [m]; infinite for a half-space.
+    """
+
+    center: Array
+    axes: Array
+    half: Array
+
+    @classmethod
+    def of(cls, model: "Environments", tables: "SolidTables", solid: Solid, envs: int) -> "_WorldBox":
+        center, half = (values[:envs] for values in tables.bounding_box(model, solid))
+        axes = np.broadcast_to(np.eye(3), (envs, 3, 3))
+        poses = [(model[f"{solid.name}.position"], model[f"{solid.name}.orientation"])]
+        if solid.body is not None:
+            name = solid.body.name
+            poses.append((model.sensor(f"{name}.position"), model.sensor(f"{name}.orientation")))
+        for position, orientation in poses:
+            turn = np.asarray(orientation, dtype=np.float64)[:envs]
+            zero = np.zeros((envs, 3))
+            axes = transform_points(axes, zero, turn)
+            center = transform_points(center[:, None], zero, turn)[:, 0] + np.asarray(position)[:envs]
+        return cls(center, axes, half)
+
+    @property
+    def extents(self) -> Array:
+        """Half of the size along the axes of the world, (envs, 3) [m]."""
+        return np.asarray((np.abs(self.axes) * self.half[:, :, None]).sum(axis=1))
+
+
+def _touch(first: _WorldBox, second: _WorldBox) -> tuple[Array, Array, Array, Array]:
+    """Returns whether two solids are near (envs,), point of contact and normal (envs, 3), and area (envs,) [m²]."""
+    sides = np.sort(first.half, axis=1)
+    if np.isinf(second.half).all():
+        normal = second.axes[:, 2]
+        support = (np.abs(np.einsum("eki,ei->ek", first.axes, normal)) * first.half).sum(axis=1)
+        gap = ((first.center - second.center) * normal).sum(axis=1) - support
+        place = first.center - support[:, None] * normal
+        return gap < _NEAR * 2.0 * sides[:, 2], place, normal, 4.0 * sides[:, 1] * sides[:, 2]
+    size = 2.0 * np.minimum(sides[:, 2], second.half.max(axis=1))
+    lower = np.maximum(first.center - first.extents, second.center - second.extents)
+    upper = np.minimum(first.center + first.extents, second.center + second.extents)
+    overlap = upper - lower
+    axis = np.argmin(overlap, axis=1)
+    across = np.sort(np.maximum(overlap, 0.0), axis=1)
+    near = overlap.min(axis=1) > -_NEAR * size
+    return near, 0.5 * (lower + upper), np.eye(3)[axis], across[:, 1] * across[:, 2]
+
+
+def _largest_eigenvalues(
+    model: "Environments", contacts: _NearContacts, values: Array, directions: slice
+) -> tuple[Array, list[Body]]:
+    """Returns the largest eigenvalue of M⁻¹ Σ k Jᵀ J, (envs,), and the body that moves most in its mode.
+
+    Args:
+        model: The model.
+        contacts: All contacts. Those of two bodies that have no other one do not count.
+        values: Stiffness or damping of each contact, (envs, pairs).
+        directions: Range of the axes of the contact along which it acts.
+    """
+    envs = len(values)
+    bodies = [one for one in dict.fromkeys(b for pair in contacts.bodies for b in pair) if one and is_movable(one)]
+    numbers = {body: number for number, body in enumerate(bodies)}
+    # The last one stands for all bodies that do not move.
+    sides = [np.array([numbers.get(pair[k], len(bodies)) for pair in contacts.bodies]) for k in (0, 1)]  # type: ignore[arg-type]
+    weights = values * contacts.near
+    counts = np.zeros((len(bodies) + 1, envs))
+    for side in sides:
+        np.add.at(counts, side, weights.T > 0.0)
+    counts[-1] = 0.0
+    weights = weights * (np.maximum(counts[sides[0]], counts[sides[1]]).T > 1.0)
+    axes = contacts.axes[:, :, directions]
+    rows = []
+    for sign, k in ((1.0, 0), (-1.0, 1)):
+        row = np.zeros((*axes.shape[:3], 6))
+        for body, number in numbers.items():
+            own = np.flatnonzero(sides[k] == number)
+            row[:, own] = sign * _scaled_rows(model, body, contacts.place[:, own], axes[:, own])
+        rows.append(row)
+    motion = np.random.default_rng(0).normal(size=(len(bodies) + 1, envs, 6))
+    motion[-1] = 0.0
+    eigenvalue = np.zeros(envs)
+    for _ in range(_ITERATIONS):
+        motion /= np.maximum(np.linalg.norm(motion, axis=(0, 2))[None, :, None], 1e-300)
+        slip = sum(np.einsum("epai,pei->epa", row, motion[side]) for row, side in zip(rows, sides, strict=True))
+        force = weights[:, :, None] * slip
+        motion = np.zeros_like(motion)
+        for row, side in zip(rows, sides, strict=True):
+            np.add.at(motion, side, np.einsum("epai,epa->pei", row, force))
+        motion[-1] = 0.0
+        eigenvalue = np.linalg.norm(motion, axis=(0, 2))
+    most = np.argmax(np.linalg.norm(motion[:-1], axis=2), axis=0)
+    return eigenvalue, [bodies[number] for number in most]
+
+
+def _scaled_rows(model: "Environments", body: Body, place: Array, axes: Array) -> Array:
+    """Returns the rows of the Jacobian of points of a body, times the inverse square root of its mass matrix.
+
+    Args:
+        model: The model.
+        body: The body.
+        place: Points, world (envs, points, 3) [m].
+        axes: Directions at each of them, world (envs, points, directions, 3).
+    """
+    envs = len(place)
+    mass = np.asarray(model[f"{body.name}.mass"])[:envs]
+    arm = place - np.asarray(model.sensor(f"{body.name}.position"), dtype=np.float64)[:envs, None]
+    turn = np.asarray(model.sensor(f"{body.name}.orientation"), dtype=np.float64)[:envs]
+    # Rows are the axes of the body in the world.
+    frame = transform_points(np.broadcast_to(np.eye(3), (envs, 3, 3)), np.zeros((envs, 3)), turn)
+    inertia = np.swapaxes(frame, 1, 2) @ model[f"{body.name}.inertia"][:envs] @ frame
+    lever = np.cross(arm[:, :, None], axes)
+    flat = lever.reshape(envs, -1, 3).swapaxes(1, 2)
+    turning = np.linalg.solve(np.linalg.cholesky(inertia), flat).swapaxes(1, 2).reshape(lever.shape)
+    return np.concatenate([axes / np.sqrt(mass)[:, None, None, None], turning], axis=3)
+
+
+def _message(
+    model: "Environments", contacts: _NearContacts, body: Body, env: int, effect: str, longest: float, dt: float
+) -> str:
+    own = [
+        name
+        for name, pair, near in zip(contacts.names, contacts.bodies, contacts.near[env], strict=True)
+        if body in pair and near
+    ]
+    names = list(dict.fromkeys(own))
+    listed = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
+    return (
+        f"{body.name}: dt = {dt:g} s is too long for its {len(own)} contacts together ({listed}) in environment "
+        f"{model.first_env + env}: {effect}. Use dt ≤ {longest:.2g} s"
+    )
