@@ -30,8 +30,8 @@ MIN_STEPS = 10.0
 _NEAR = 1.0e-3
 # Number of contacts that a message names.
 _NAMED = 4
-# Steps of power iteration; the eigenvalue is then accurate to 1 % or better.
-_ITERATIONS = 100
+# Largest number of steps of power iteration, and relative change of the eigenvalue in a step at which it ends.
+_ITERATIONS, _CHANGE = 200, 1.0e-4
 
 
 def sum_warnings(
@@ -214,6 +214,8 @@ def _largest_eigenvalues(
         np.add.at(counts, side, weights.T > 0.0)
     counts[-1] = 0.0
     weights = weights * (np.maximum(counts[sides[0]], counts[sides[1]]).T > 1.0)
+    if not weights.any():
+        return np.zeros(envs), [bodies[0]] * envs
     axes = contacts.axes[:, :, directions]
     rows = []
     for sign, k in ((1.0, 0), (-1.0, 1)):
@@ -233,7 +235,9 @@ def _largest_eigenvalues(
         for row, side in zip(rows, sides, strict=True):
             np.add.at(motion, side, np.einsum("epai,epa->pei", row, force))
         motion[-1] = 0.0
-        eigenvalue = np.linalg.norm(motion, axis=(0, 2))
+        before, eigenvalue = eigenvalue, np.linalg.norm(motion, axis=(0, 2))
+        if (eigenvalue - before <= _CHANGE * eigenvalue).all():
+            break
     most = np.argmax(np.linalg.norm(motion[:-1], axis=2), axis=0)
     return eigenvalue, [bodies[number] for number in most]
 
