@@ -33,6 +33,7 @@ class Patch:
     normal: vec3d  # out of the second solid
     gap: double  # smallest gap [m]
     count: wp.int32  # number of candidates
+    lost_gap: double  # in the first patch: smallest gap of the areas of the pair that have no patch [m]
 
 
 @wp.struct

@@ -328,6 +328,7 @@ def find_manifolds(real: type, has_convex: bool, has_meshes: bool, has_curved: b
                 clear_points(history_out, manifold_points, env, start, end)
             for patch in range(MAX_PATCHES):
                 patches[patch].count = 0
+            patches[0].lost_gap = double(wp.inf)
             setting = settings[env, pair]
             contact_status = wp.int32(OPEN)
             reference = history_in.reference[env, number]
@@ -435,6 +436,8 @@ def find_manifolds(real: type, has_convex: bool, has_meshes: bool, has_curved: b
                         normal_W = wp.normalize(normal_W)
             history_out.reference[env, number] = reference
             history_out.count[env, number] = count
+            has_lost = wp.where(patches[0].lost_gap <= contact_gap, 1, 0)
+            history_out.overflow[env, number] = history_in.overflow[env, number] + has_lost
             is_contact = contact_status == CONTACT
             body_contacts.status[env, pair] = contact_status
             body_contacts.depth[env, pair] = real(wp.max(-deepest, double(0.0)))
@@ -467,6 +470,7 @@ def accept_manifolds() -> wp.Kernel:
             if status[env] != ENV_ACTIVE:
                 continue
             history.reference[env, number] = history_out.reference[env, number]
+            history.overflow[env, number] = history_out.overflow[env, number]
             before = history.count[env, number]
             history.count[env, number] = history_out.count[env, number]
             if before == 0 and history_out.count[env, number] == 0:
@@ -500,6 +504,7 @@ def reset_manifolds(real: type) -> wp.Kernel:
         start = manifold_pairs.slot_start[number]
         end = manifold_pairs.slot_start[number + 1]
         history.reference[env, number] = 0
+        history.overflow[env, number] = 0
         history.count[env, number] = 0
         history_out.count[env, number] = 0
         clear_points(history_out, manifold_points, env, start, end)

@@ -64,7 +64,10 @@ def face_box(geometries: Geometries, side: SolidGeometry, face: int, margin: dou
 
 @wp.func
 def patch_for(patches: wp.array(dtype=Patch), normal: vec3d, gap: double):
-    """Returns the patch for points with a normal, emptied if it is another one; −1 if all have smaller gaps."""
+    """Returns the patch for points with a normal, emptied if it is another one; −1 if all have smaller gaps.
+
+    The first patch stores the smallest gap of areas without a patch.
+    """
     worst = wp.int32(-1)
     largest = gap
     for patch in range(MAX_PATCHES):
@@ -77,10 +80,13 @@ def patch_for(patches: wp.array(dtype=Patch), normal: vec3d, gap: double):
         if patches[patch].gap > largest:
             largest = patches[patch].gap
             worst = patch
+    lost = gap
     if worst >= 0:
+        lost = patches[worst].gap
         patches[worst].normal = normal
         patches[worst].gap = double(wp.inf)
         patches[worst].count = 0
+    patches[0].lost_gap = wp.min(patches[0].lost_gap, lost)
     return worst
 
 

@@ -25,6 +25,7 @@ class ManifoldHistory:
     is_closed: wp.array2d(dtype=wp.int32)  # [env, slot] 1: its gap was closed
     count: wp.array2d(dtype=wp.int32)  # [env, pair] number of points
     reference: wp.array2d(dtype=wp.int32)  # [env, pair] ``convex.reference_code``, 0 or EDGES
+    overflow: wp.array2d(dtype=wp.int32)  # [env, pair] number of steps with areas in contact that had no patch
 
 
 class ManifoldStructs(NamedTuple):

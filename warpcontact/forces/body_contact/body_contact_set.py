@@ -23,6 +23,7 @@ from warpcontact.kernels.body_contact.patches import PATCH_COUNT
 from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.manifolds.candidates import MAX_PATCHES
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.body_contact import BodyContact, reference_share
 from warpcontact.scene.status import ContactStatus
@@ -30,6 +31,7 @@ from warpcontact.storage.allocation_plan import fixed, per_env
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import Field, Parameters, pack
 from warpcontact.validation import checks
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
@@ -82,6 +84,7 @@ class BodyContactSet(ForceElement):
             ``first_end`` + 2 i + 1 (second body).
         manifolds: Manifolds of all pairs if the law is rigid; otherwise ``None``, and a simulation with nonsmooth contact
             declares them.
+        active_manifolds: Manifolds of the nonsmooth contacts that are stepped; ``None``: there are none.
     """
 
     family = "body contact"
@@ -113,6 +116,7 @@ class BodyContactSet(ForceElement):
         self._add_settings(context.parameters)
         rigid = self.parts.law.rigid
         self.manifolds = ManifoldSet(self, self.items, context.layout) if rigid else None
+        self.active_manifolds = self.manifolds
         add_material_parameters(tuple(self.items), self.parts, self.coefficients, context.parameters, self.real)
 
     @property
@@ -251,6 +255,19 @@ class BodyContactSet(ForceElement):
                 if formula.memories:
                     inputs = [chosen, getattr(self.memory, part)]
                     wp.launch(reset.memory(formula, self.real), dim=dim, inputs=inputs, device=device)
+
+    def failures(self) -> dict[str, NDArray[np.int32]]:
+        """Returns the number of steps since reset with more patches than room, (envs,) by nonsmooth contact."""
+        return {} if self.active_manifolds is None else self.active_manifolds.failures()
+
+    def failure_warning(self, name: str, count: int, envs: int, first: int) -> RunWarning:
+        """Returns a warning that two solids had more patches than room."""
+        text = (
+            f"{name}: two solids touched with more than {MAX_PATCHES} different normals in {count} of {envs} environments "
+            f"(first: {first}). The areas with the smallest gaps acted. Use several surfaces instead of one mesh, or "
+            f"compliant=[{name!r}]; {name}.overflow counts such steps"
+        )
+        return RunWarning(text, WarningLevel.CAUTION)
 
     def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
         """Returns whether some contacts are nonsmooth, whose initial penetration is checked."""

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP
 from warpcontact.forces.sensor import Sensor
@@ -80,11 +81,11 @@ class ManifoldSet:
             "is_closed": (0, 1),
             "count": (0, MAX_PATCHES * POINTS),
             "reference": (-1, np.iinfo(np.int32).max),
+            "overflow": (0, np.iinfo(np.int32).max),
         }
-        self.history = layout.struct(_PURPOSE, ManifoldHistory, slots, ranges=ranges, count=pairs, reference=pairs)
-        self.history_out = layout.struct(
-            _PURPOSE, ManifoldHistory, slots, transient=True, count=pairs, reference=pairs
-        )
+        of_pairs: dict[str, Any] = dict.fromkeys(("count", "reference", "overflow"), pairs)
+        self.history = layout.struct(_PURPOSE, ManifoldHistory, slots, ranges=ranges, **of_pairs)
+        self.history_out = layout.struct(_PURPOSE, ManifoldHistory, slots, transient=True, **of_pairs)
         ManifoldPoints = manifold_structs(self.real).ManifoldPoints
         self.points = layout.struct(_PURPOSE, ManifoldPoints, slots, transient=True)
         self.load_ratio: Any = None
@@ -216,6 +217,20 @@ class ManifoldSet:
                 needs=("contacts",),
                 items=0 if contact.single else contact.count,
             )
+            yield Sensor(
+                f"{contact.name}.overflow",
+                "-",
+                f"number of steps since reset in which areas in contact had none of the {MAX_PATCHES} patches of a pair",
+                _column(self.history, "overflow", pairs.start if contact.single else pairs),
+                items=0 if contact.single else contact.count,
+            )
+
+    def failures(self) -> dict[str, NDArray[np.int32]]:
+        """Returns the number of steps since reset with more patches than room, (envs,) by contact; the maximum of its pairs."""
+        if self.history.overflow is None:
+            return {}
+        values = self.history.overflow.numpy()
+        return {contact.name: values[:, pairs].max(axis=1) for contact, (pairs, _) in self.contacts.items()}
 
 
 def _column(owner: Any, attribute: str, items: int | slice) -> Any:

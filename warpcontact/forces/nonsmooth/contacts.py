@@ -255,6 +255,8 @@ class NonsmoothContacts(ForceElement):
             if self._upload not in parameter.device_fields:
                 parameter.device_fields.append(self._upload)
         model.upload([self._upload], [self._upload.content()])
+        for body_contacts, (manifolds, _, _) in self._manifold_sets.items():
+            body_contacts.active_manifolds = manifolds
         self._set_contact_gap(model, CONTACT_GAP[self._real])
         self._reset(wp.full(model.envs, True, dtype=wp.bool, device=model.device), all_statistics=False)
         self._reset_laws(model)
@@ -262,6 +264,8 @@ class NonsmoothContacts(ForceElement):
     def deactivate(self, model: "DeviceModel") -> None:
         """Deactivates nonsmooth contact: materials no longer follow their parameters."""
         self._reset_laws(model)
+        for body_contacts in self._manifold_sets:
+            body_contacts.active_manifolds = body_contacts.manifolds
         self._set_contact_gap(model, 0.0)
         for parameter in parameters_of(self._materials, model.parameters):
             if self._upload in parameter.device_fields:

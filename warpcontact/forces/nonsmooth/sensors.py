@@ -38,7 +38,7 @@ OF_SCENE = {
 }
 
 #: Sensors of contacts, and of points of body contacts.
-OF_CONTACTS = ("impulse", "mode", "point", "point_gap", "point_force", "load_ratio")
+OF_CONTACTS = ("impulse", "mode", "point", "point_gap", "point_force", "load_ratio", "overflow")
 
 
 def is_nonsmooth_sensor(name: str) -> bool:
