@@ -108,3 +108,26 @@ def test_box_slides_over_a_flat_floor_of_triangles_without_a_bump(device):
         np.testing.assert_allclose(model.sensor("box.linear_velocity")[0], [3, 0.4, 0], atol=1e-9)
         assert model.sensor("box.position")[0, 2] == pytest.approx(0.1 - depth, abs=1e-12)
         assert np.abs(model.sensor("box.angular_velocity")).max() < 1e-9
+
+
+def test_capsule_that_falls_aslant_lies_on_a_box(device):
+    """Its line needs two points; with one it sinks through the box in 20 s."""
+    scene = wc.Scene(gravity=(0, 0, -10))
+    turn = (0, np.sin(0.6), 0, np.cos(0.6))
+    body = scene.add_body(1.0, (0.2, 0.2, 0.1), position=(0.1, 0, 2), orientation=turn, name="b")
+    capsule = scene.add_shape(body, wc.shapes.Capsule(0.5, 0.5))
+    box = scene.add_shape(None, wc.shapes.RoundedBox((1.0, 1.0, 0.1)), position=(0, 0, -0.1))
+    stick = wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=8e3, damping=5.0)
+    law = wc.laws.KelvinVoigt(stiffness=2e4, restitution=0.2)
+    scene.add_body_contact(capsule, box, wc.ContactMaterial(law=law, friction=stick), name="c")
+    model = scene.build(device=device, precision="float64")
+    dt = 1 / 120
+    sim = wc.Simulation(model, dt=dt, integrator=wc.integrators.MoreauJean())
+    sim.step(1200)
+    before = model.sensor("b.position")[0].copy()
+    sim.step(1200)
+    position = model.sensor("b.position")[0]
+    # The overlap of its impact remains, at most the fall in a step.
+    assert position[2] == pytest.approx(0.5, abs=10 * dt**2)
+    assert np.abs(position - before).max() < 1e-6
+    assert np.linalg.norm(model.sensor("b.angular_velocity")[0]) < 1e-6
