@@ -99,3 +99,26 @@ def test_parts_of_a_solid_have_room_for_all_normals(device):
     closed = model.sensor("fit.point_gap") <= 1e-9
     assert closed[0].sum() == 7 * 4
     np.testing.assert_allclose(model.sensor("bolt.position"), 0.0, atol=1e-9)
+
+
+def test_more_normals_than_friction_patches_lose_no_force(device):
+    """Columns with a fifth normal belong to the most similar patch: the pressure is the same, and friction still acts."""
+    law = wc.laws.ElasticFoundation(stiffness=1e7)
+    stick = wc.friction.CundallStrack(mu_static=0.3, mu_dynamic=0.3, stiffness=1e5)
+    found = []
+    for friction in (None, stick):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        body = scene.add_body(mass=1.0, inertia=(1e-3,) * 3, linear_velocity=(0, 0, -0.1), name="bolt")
+        # Larger than the hole by 0.1 mm, and its lower face is 0.1 mm below the floor.
+        bolt = scene.add_surface(prism(), body, position=(0, 0, -1e-4), scale=1.0 + 1e-4 / RADIUS)
+        material = wc.ContactMaterial(law=law, friction=friction)
+        scene.add_body_contact(bolt, scene.add_surface(socket(True)), material, name="fit")
+        model = scene.build(device=device, precision="float64")
+        found.append(model.sensor("fit.normal_force")[0])
+        wc.Simulation(model, dt=1e-5).step(10)
+    pressure = 1e7 * (6 * RADIUS * HEIGHT * 1e-4 * np.sqrt(0.75) + 1.5 * np.sqrt(3) * RADIUS**2 * 1e-4)
+    assert found[0] == pytest.approx(pressure, rel=0.01)
+    assert found[1] == pytest.approx(found[0], rel=1e-12)
+    # Springs of the walls hold the body back, with up to μ N.
+    friction = model.sensor("fit.friction_force")[0, 2]
+    assert 0.0 < friction <= 0.3 * model.sensor("fit.normal_force")[0]
