@@ -156,3 +156,24 @@ def test_friction_of_the_pads_of_a_gripper_adds_up(device):
     assert "cube: " in sentence
     assert "2 contacts together" in sentence
     assert "friction is unstable" in sentence
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_steps_are_unstable_beyond_the_reported_limit(factor, device):
+    """The spin of a cube between two pads decays, or grows."""
+    damping = 1e3
+    friction = wc.friction.CundallStrack(mu_static=1e3, mu_dynamic=1e3, stiffness=1.0, damping=damping)
+    material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e4), friction=friction)
+    # The estimate of friction is under the weight.
+    scene = wc.Scene(gravity=(0, 0, -0.1))
+    cube = scene.add_body(mass=MASS, inertia=[MASS * SIDE**2 / 6] * 3, angular_velocity=(0, 0, 1e-4), name="cube")
+    solid = scene.add_shape(cube, wc.shapes.RoundedBox((SIDE / 2,) * 3))
+    for side in (-1, 1):
+        place = (side * (SIDE - 1e-3), 0, 0)
+        pad = scene.add_shape(None, wc.shapes.RoundedBox((SIDE / 2,) * 3), position=place)
+        scene.add_body_contact(solid, pad, material)
+    model = scene.build(device=device, precision="float64")
+    sim = wc.Simulation(model, dt=factor * 2 * MASS / (3 * damping))
+    assert len(sim.check()) == (factor > 1)
+    sim.step(200)
+    assert (np.abs(model.sensor("cube.angular_velocity")).max() > 1e-4) == (factor > 1)
