@@ -25,6 +25,8 @@ MAX_DISTANCE = wp.constant(1.0e6)
 # Distance of the origins of secondary rays from the surface, in units of the view, and per distance to the eye.
 RAY_OFFSET = wp.constant(1.0e-4)
 ROUNDING = wp.constant(4.0e-6)
+# Opacity of unlit marks behind surfaces.
+UNLIT_OPACITY = wp.constant(0.8)
 
 
 @wp.struct
@@ -172,7 +174,7 @@ def trace_color(
     """Returns the color along the unit vector ``ray``, linear RGB in 0…1.
 
     ``height``: Position in the picture, 0 at the bottom, 1 at the top. Marks, such as arrows, have no shadows and
-    are partly visible through surfaces in front of them.
+    are partly visible through surfaces in front of them. Unlit marks have their own color.
     """
     background = height * backdrop.top + (1.0 - height) * backdrop.bottom
     color = background
@@ -188,8 +190,11 @@ def trace_color(
             color = (1.0 - fog) * surface + fog * background
     mark = trace(marks, eye, ray, MAX_DISTANCE)
     if mark.item >= 0:
-        mark_color = shade_hit(marks, light, grid, mark, eye + mark.t * ray, ray, wp.vec2(), wp.vec2(), False)
-        opacity = wp.where(mark.t < hit.t, 1.0, 0.6)
+        mark_color = surface_color(marks, mark)
+        opacity = wp.where(mark.t < hit.t, 1.0, UNLIT_OPACITY)
+        if marks.unlit[mark.item] == wp.uint8(0):
+            mark_color = shade_hit(marks, light, grid, mark, eye + mark.t * ray, ray, wp.vec2(), wp.vec2(), False)
+            opacity = wp.where(mark.t < hit.t, 1.0, 0.6)
         color = opacity * mark_color + (1.0 - opacity) * color
     return wp.min(wp.max(color, wp.vec3(0.0, 0.0, 0.0)), wp.vec3(1.0, 1.0, 1.0))
 

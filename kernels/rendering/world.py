@@ -26,6 +26,7 @@ class World:
     color: wp.array(dtype=wp.vec3)  # [item] linear RGB
     has_grid: wp.array(dtype=wp.uint8)  # [item] 1: grid lines on level parts
     infinite: wp.array(dtype=wp.uint8)  # [item] 1: fades into the background
+    unlit: wp.array(dtype=wp.uint8)  # [item] 1: a mark whose color does not depend on light
     mesh: wp.array(dtype=wp.uint64)  # [shape] wp.Mesh
     first_normal: wp.array(dtype=wp.int32)  # [shape] first row in ``normals``; −1: flat shading
     first_color: wp.array(dtype=wp.int32)  # [shape] first row in ``colors``; −1: color of the item

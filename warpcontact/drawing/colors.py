@@ -1,7 +1,7 @@
 """Colors of numbers and gaps, and conversion from sRGB to linear colors."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -12,6 +12,8 @@ from warpcontact.validation.checks import Array
 
 #: Perceptually uniform color map, also suitable for color-blind readers.
 COLORMAP = "viridis"
+#: Perceptually uniform color map of pressures, apart from that of numbers.
+PRESSURE_COLORMAP = "plasma"
 #: Color of missing numbers, RGB in 0…1.
 MISSING = (0.5, 0.5, 0.5)
 #: Colors of gaps, from −1 (largest overlap) over 0 (contact) to 1 (far away): RGB in 0…255.
@@ -31,15 +33,19 @@ class Scale:
     Attributes:
         low: Lowest number; above ``high`` if there are none.
         high: Highest number.
+        colormap: Name of the color map.
     """
 
     low: float = math.inf
     high: float = -math.inf
+    colormap: str = COLORMAP
 
     def widened(self, values: Array) -> "Scale":
         """Returns the scale extended to further numbers; non-finite ones are ignored."""
         good = values[np.isfinite(values)]
-        return Scale(min(self.low, float(good.min())), max(self.high, float(good.max()))) if len(good) else self
+        if not len(good):
+            return self
+        return replace(self, low=min(self.low, float(good.min())), high=max(self.high, float(good.max())))
 
     def colors(self, values: Array) -> Array:
         """Returns the sRGB colors of numbers (…), in 0…1, (…, 3); gray if not finite."""
@@ -48,7 +54,7 @@ class Scale:
         good = np.isfinite(values)
         span = self.high - self.low
         part = (np.where(good, values, self.low) - self.low) / span if span > 0.0 else 0.5
-        colors = mpl.colormaps[COLORMAP](np.broadcast_to(part, good.shape))[..., :3]
+        colors = mpl.colormaps[self.colormap](np.broadcast_to(part, good.shape))[..., :3]
         return np.where(good[..., None], colors, MISSING)
 
 
@@ -62,6 +68,11 @@ def per_environment_number(array: xr.DataArray) -> xr.DataArray | None:
     if array.size and "time" not in array.dims:
         array = merged_items(array)
     return array.transpose("time", "env", missing_dims="ignore") if set(array.dims) - {"time"} == {"env"} else None
+
+
+def pressure_scale(largest: float) -> Scale:
+    """Returns the color scale of pressures from 0 to the largest one [Pa]."""
+    return Scale(0.0, largest, PRESSURE_COLORMAP)
 
 
 def gap_colors(gaps: Array, deepest: float, far: float) -> Array:

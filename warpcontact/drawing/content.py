@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.contact_pressure import ContactPressure
 from warpcontact.drawing.geometry import (
     BodySet,
     Placement,
@@ -41,6 +42,7 @@ class Content:
         lines: Forces of contacts.
         resultants: Forces of contact couplings and of particle contacts, for which only sums are recorded.
         curves: Couplings.
+        pressure: Pressure on the areas of body contacts.
         size: Size of the drawing, the length of the largest body [m].
         force_scale: Arrow length per force [m/N], which draws the largest force at 1.5 times ``size``.
     """
@@ -55,6 +57,7 @@ class Content:
     lines: list[ForceLines]
     resultants: list[ForceLines]
     curves: list[CouplingCurve]
+    pressure: ContactPressure
     size: float
     force_scale: float
 
@@ -86,6 +89,7 @@ class Content:
             lines=lines,
             resultants=resultants,
             curves=[CouplingCurve(replay, one, (coils or {}).get(one.name)) for one in scene.couplings],
+            pressure=ContactPressure.of(replay),
             size=size,
             force_scale=length_scale([*lines, *resultants], size),
         )
@@ -100,6 +104,7 @@ class SceneRanges:
         low: Lower corner of the space of bodies and couplings, (env, 3), world [m].
         high: Upper corner, (env, 3), world [m].
         peak: Largest force [N].
+        peak_pressure: Largest pressure on the areas of body contacts [Pa].
         coils: Coil data of springs by name.
     """
 
@@ -107,6 +112,7 @@ class SceneRanges:
     low: Array
     high: Array
     peak: float = 0.0
+    peak_pressure: float = 0.0
     coils: dict[str, Coil] = field(default_factory=dict)
 
     @classmethod
@@ -141,6 +147,8 @@ class SceneRanges:
                 self.coils[name] = previous.merge(curve.coil)
         forces: list[ForceLines] = [*content.lines, *content.resultants]
         self.peak = max([self.peak, *(line.peak() for line in forces)])
+        records, rows = range(len(content.replay.codes)), range(len(content.replay.envs))
+        self.peak_pressure = max(self.peak_pressure, content.pressure.peak(records, rows))
 
     def _reach(self, places: Array, reach: float) -> None:
         """Extends the bounds to positions (time, env, …, 3), with a margin of ``reach`` [m]."""

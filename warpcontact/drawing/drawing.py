@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.algebra.vectors import quat_multiply, transform_points
+from warpcontact.drawing.contact_pressure import ContactPressure
 from warpcontact.drawing.content import POINT, Content
 from warpcontact.drawing.geometry import (
     INACTIVE,
@@ -144,6 +145,7 @@ class Drawing:
         contact_forces: Contacts whose normal force, normal and point were recorded.
         size: Size of the drawing, the length of the largest body [m]; unit of arrow and line widths.
         force_scale: Arrow length per force [m/N], which draws the largest force at 1.5 times ``size``.
+        pressure: Pressure on the areas of body contacts, evaluated on access; ``None``: none of them has forces.
     """
 
     times: Array
@@ -153,6 +155,7 @@ class Drawing:
     contact_forces: list[ContactForces]
     size: float
     force_scale: float
+    pressure: ContactPressure | None = None
 
 
 def drawing_of(
@@ -183,6 +186,7 @@ def drawing_of(
         contact_forces=list(_contact_forces(content)),
         size=content.size,
         force_scale=content.force_scale,
+        pressure=content.pressure if content.pressure.contacts else None,
     )
 
 

@@ -119,6 +119,11 @@ def resultant_lines(
             meaning = "Force of the other particles on each shape, from its center."
             found.append(ForceLines(particle_contact, start, each, meaning=meaning))
     for body_contact in replay.scene.body_contacts:
+        points, forces = (replay.series(f"{body_contact.name}.{key}") for key in ("point", "point_force"))
+        if points is not None and forces is not None:
+            start, each = (values.astype(np.float64).reshape(*shape, -1, 3) for values in (points, forces))
+            found.append(ForceLines(body_contact, start, each, meaning="Forces of the points on the first body."))
+            continue
         force, center = (replay.series(f"{body_contact.name}.{key}") for key in ("force", "center"))
         if force is not None and center is not None:
             start, each = (

@@ -140,6 +140,8 @@ def _make_folder(runner: ShardRunner, job: RunJob) -> None:
     }
     if settings.integrator.iterations is not None:
         attributes["iterations"] = settings.integrator.iterations
+    if settings.integrator.compliant:
+        attributes["compliant"] = list(settings.integrator.compliant)
     times = frames.times(settings.dt)
     store.create(folder, runner.data_layouts(), settings.envs, times, frames.block, attributes)
 

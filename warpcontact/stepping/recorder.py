@@ -111,6 +111,14 @@ def replay_parameters(model: Environments) -> list[str]:
             parts = {part: contact.parameters(part) for part in ("law", "friction")}
             values = {key: parts[key.partition(".")[0]].get(key.partition(".")[2]) for key in values}
         first |= {f"{contact.name}.{key}": value for key, value in values.items() if value is not None}
+    for body_contact in scene.body_contacts:
+        # The pressure on their areas is computed from these.
+        first |= {
+            f"{body_contact.name}.{key}": getattr(body_contact, key)
+            for key in ("kappa", "max_depth", "force_scale", "enabled")
+        }
+        for key, value in body_contact.parameters("law").items():
+            first[f"{body_contact.name}.law.{key}"] = value
     known = model.parts[0].parameters
     return [name for name, value in first.items() if name in known and not _equals(model, name, value)]
 

@@ -484,6 +484,8 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         }
         if (iterations := getattr(self.integrator, "iterations", None)) is not None:
             attributes["iterations"] = iterations
+        if compliant := getattr(self.integrator, "compliant", ()):
+            attributes["compliant"] = list(compliant)
         return recorder.finish(attributes)
 
     def advance(

@@ -3,14 +3,14 @@
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.drawing.colors import Scale
-from warpcontact.drawing.drawing import Drawing
+from warpcontact.drawing.colors import Scale, pressure_scale
+from warpcontact.drawing.drawing import Drawing, Figure
 from warpcontact.validation import safe_text
 from warpcontact.validation.checks import Array
 from warpcontact.visualize.rendering.camera import (
@@ -26,7 +26,14 @@ from warpcontact.visualize.rendering.camera import (
 )
 from warpcontact.visualize.rendering.painter import Painter, Picture
 from warpcontact.visualize.rendering.render_style import RenderStyle
-from warpcontact.visualize.rendering.stage import Items, Stage, curve_tube, force_arrows, place_figure
+from warpcontact.visualize.rendering.stage import (
+    Items,
+    Stage,
+    curve_tube,
+    force_arrows,
+    patch_figure,
+    place_figure,
+)
 
 Place = tuple[int, int, int, int]
 
@@ -108,8 +115,8 @@ def write_labels(picture: NDArray[np.uint8], panels: list[Place], texts: list[st
     picture[:] = np.asarray(image)
 
 
-def write_scale(picture: NDArray[np.uint8], name: str, scale: Scale) -> None:
-    """Draws the color scale in the upper right corner, with its lowest and highest number."""
+def write_scale(picture: NDArray[np.uint8], name: str, scale: Scale, row: int = 0) -> None:
+    """Draws the color scale in the upper right corner, with its lowest and highest number; ``row``: below so many others."""
     from PIL import Image, ImageDraw
 
     height, width = picture.shape[:2]
@@ -124,9 +131,9 @@ def write_scale(picture: NDArray[np.uint8], name: str, scale: Scale) -> None:
     font = _font(letters)
     long = max(width // 5, math.ceil(font.getlength("  ".join(ends))))
     thick, edge = max(letters // 2, 4), letters
-    right, top = width - edge, edge // 2
+    right, top = width - edge, edge // 2 + row * (4 * letters + thick)
     ink = _ink(picture, right - long, top, letters)
-    bar = Scale(0.0, 1.0).colors(np.linspace(0.0, 1.0, long))
+    bar = Scale(0.0, 1.0, scale.colormap).colors(np.linspace(0.0, 1.0, long))
     below = top + int(1.5 * letters)
     picture[below : below + thick, right - long : right] = (255.0 * bar + 0.5).astype(np.uint8)
     image = Image.fromarray(picture)
@@ -187,6 +194,7 @@ class FrameRenderer:
         style: Style of the pictures.
         coloring: Colors of moving items by environment; ``None``: their own colors.
         overview: Indices of the records that determine camera and arrow length; ``None``: all.
+        shown: Indices of the records that determine the color scale of pressure; ``None``: all.
     """
 
     def __init__(
@@ -195,6 +203,7 @@ class FrameRenderer:
         style: RenderStyle,
         coloring: Coloring | None = None,
         overview: Sequence[int] | None = None,
+        shown: Sequence[int] | None = None,
     ) -> None:
         self.drawing = drawing
         self._style = style
@@ -217,6 +226,7 @@ class FrameRenderer:
         self._width = min(max(WIDTH * drawing.size, MIN_WIDTH * reach), MAX_WIDTH * reach)
         if style.force_scale is None and (largest := _largest(drawing, range(len(drawing.times)))) > 0.0:
             self._force_scale = min(self._force_scale, MAX_ARROW * reach / largest)
+        self._pressure = self._pressure_scale(range(len(drawing.times)) if shown is None else shown)
 
     def picture(self, record: int, time: float | None = None, samples: int | None = None) -> Picture:
         """Renders a record; returns a picture, (height, width, 3) sRGB.
@@ -233,8 +243,11 @@ class FrameRenderer:
         for rows, (left, top, right, bottom) in zip(self._panels, self._places, strict=True):
             items = [group for group, _ in self._items(record, rows, self._width)]
             marks = self._arrows(record, rows) if self._style.forces else []
+            patches = self._patches(record, rows)
+            mark_stage = Stage(replace(self.drawing, figures=patches), self._stage.device) if patches else None
+            marks += [replace(place_figure(patch, 0, 0), unlit=True) for patch in patches]
             image[top:bottom, left:right] = self._painter.paint(
-                items, marks, self.camera, (right - left, bottom - top), samples
+                items, marks, self.camera, (right - left, bottom - top), samples, mark_stage
             )
         if self._style.labels:
             names = [f"environment {self.drawing.envs[rows[0]]}" for rows in self._panels]
@@ -242,6 +255,8 @@ class FrameRenderer:
             write_labels(image, self._places, texts, "" if time is None else f"{time:.3f} s")
             if self._coloring is not None:
                 write_scale(image, self._coloring.name, self._coloring.scale)
+            if self._pressure is not None:
+                write_scale(image, "pressure [Pa]", self._pressure, 0 if self._coloring is None else 1)
         return image
 
     def _items(self, record: int, rows: list[int], width: float) -> list[tuple[Items, bool]]:
@@ -265,6 +280,24 @@ class FrameRenderer:
             for row in rows
             for group in force_arrows(contact, record, row, self._force_scale, self._width)
         ]
+
+    def _pressure_scale(self, shown: Sequence[int]) -> Scale | None:
+        """Returns the color scale of pressure; ``None`` if no contact has a pressure in the shown records."""
+        pressure, style = self.drawing.pressure, self._style
+        if pressure is None or not style.pressure:
+            return None
+        if style.max_pressure is not None:
+            return pressure_scale(float(style.max_pressure))
+        largest = pressure.peak(shown, range(len(self.drawing.envs)))
+        return pressure_scale(largest) if largest > 0.0 else None
+
+    def _patches(self, record: int, rows: list[int]) -> list[Figure]:
+        """Returns the areas of body contacts of some environments, colored by pressure."""
+        pressure = self.drawing.pressure
+        if pressure is None or self._pressure is None:
+            return []
+        figures = (patch_figure(one, self._pressure) for row in rows for one in pressure.at(record, row))
+        return [one for one in figures if one is not None]
 
     def _camera(self, overview: Sequence[int], aspect: float) -> Camera:
         rows = list(range(len(self.drawing.envs)))

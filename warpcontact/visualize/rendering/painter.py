@@ -49,6 +49,7 @@ class Painter:
         camera: Camera,
         size: tuple[int, int],
         samples: int,
+        mark_stage: Stage | None = None,
     ) -> Picture:
         """Renders a view; returns a picture, (height, width, 3) sRGB.
 
@@ -58,13 +59,17 @@ class Painter:
             camera: The camera.
             size: Width and height [pixels].
             samples: Largest number of rays per pixel.
+            mark_stage: Stage with the meshes of the marks; ``None``: they have none.
         """
         width, height = size
         device = self._stage.device
         # Lengths are in half heights of the view, so that tolerances do not depend on the scene.
         unit = camera.reach
         items, (self._backdrop.fade_from, self._backdrop.fade_to) = extend_planes(items, camera)
-        worlds = [self._stage.world(group, camera.target, unit) for group in (items, marks)]
+        worlds = [
+            stage.world(group, camera.target, unit)
+            for stage, group in ((self._stage, items), (mark_stage or self._stage, marks))
+        ]
         view, light = _view(camera, unit, width, height, samples), light_of(camera)
         pixels = wp.empty((width * height, 3), dtype=wp.uint8, device=device)
         grid = _grid(camera, height)

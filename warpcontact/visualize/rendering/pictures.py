@@ -225,7 +225,10 @@ def _make_renderer(source: Source, shown: Sequence[int], style: RenderStyle) -> 
     coloring = None
     if style.color_by is not None:
         coloring = Coloring.of(style.color_by, source.numbers(style.color_by, drawing.envs))
-    return FrameRenderer(drawing, style, coloring, [records.index(number) for number in overview]), records
+    numbers = {record: number for number, record in enumerate(records)}
+    overview_numbers = [numbers[record] for record in overview]
+    shown_numbers = sorted({numbers[record] for record in shown})
+    return FrameRenderer(drawing, style, coloring, overview_numbers, shown_numbers), records
 
 
 @dataclass(frozen=True)

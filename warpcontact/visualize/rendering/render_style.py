@@ -42,6 +42,8 @@ class RenderOptions(TypedDict, total=False):
     fov: float
     forces: bool
     force_scale: float | None
+    pressure: bool
+    max_pressure: float | None
     together: bool
     color_by: str | None
     labels: bool
@@ -65,10 +67,12 @@ class RenderStyle:
         forces: Whether to draw contact forces as arrows, for contacts with recorded normal force, normal and point.
         force_scale: Arrow length per force [m/N]; ``None``: the largest force is 1.5 times the largest body, or
             shorter if the picture is too small.
+        pressure: Whether to color the areas of body contacts by pressure.
+        max_pressure: Pressure of the upper end of the color scale [Pa]; ``None``: the largest one of the still or film.
         together: Whether to draw several environments in one panel instead of side by side.
         color_by: Parameter or outcome that colors the moving bodies, with one number per environment, or one equal
             for all items of a set.
-        labels: Whether to write environment numbers, the time of a film, and the scale of ``color_by``.
+        labels: Whether to write environment numbers, the time of a film, and the scales of ``color_by`` and pressure.
         background: ``"light"``, ``"white"``, ``"dark"`` or a color such as ``"#20242c"``.
         samples: Largest number of rays per pixel; fewer are used where they agree.
         device: Device for rendering: ``"auto"``, ``"cpu"``, ``"cuda:0"``, …
@@ -85,6 +89,8 @@ class RenderStyle:
     fov: float = 30.0
     forces: bool = True
     force_scale: float | None = None
+    pressure: bool = True
+    max_pressure: float | None = None
     together: bool = False
     color_by: str | None = None
     labels: bool = True
@@ -111,7 +117,9 @@ class RenderStyle:
             if value is not None:
                 number = checks.numbers(name, value, (), limits("-", at_least=least, at_most=most))
                 checks.integers(name, number)
-        for name in ("forces", "together", "labels"):
+        if self.max_pressure is not None:
+            checks.numbers("max_pressure", self.max_pressure, (), limits("Pa", above=0.0))
+        for name in ("forces", "pressure", "together", "labels"):
             checks.switch(name, getattr(self, name))
         self.background_colors()
 

@@ -10,7 +10,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.algebra.vectors import shortest_rotations, transform_points
-from warpcontact.drawing.colors import linear
+from warpcontact.drawing.colors import Scale, linear
+from warpcontact.drawing.contact_pressure import PressurePatches
 from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape, ball
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, MESH, SPHERE, World
 from warpcontact.validation.checks import Array
@@ -26,6 +27,9 @@ _BOXES = {
     CYLINDER: ((0.0, 0.0, 0.5), (1.0, 1.0, 0.5)),
     CONE: ((0.0, 0.0, 0.5), (1.0, 1.0, 0.5)),
 }
+
+# Largest difference of pressures on a face, relative to the largest one of the color scale: faces have one color.
+FACE_STEP = 1.0 / 48.0
 
 # Relative margin of bounding boxes, so that rays hit flat items despite rounding.
 _BOX_MARGIN = 1.0e-4
@@ -46,6 +50,7 @@ class Items:
         colors: sRGB colors, (n, 3) in 0…1.
         has_grid: Whether to draw a grid on level faces.
         infinite: Whether they represent infinite planes, z = 0, which fade into the background far away.
+        unlit: Whether their color does not depend on light; for marks.
     """
 
     kind: int
@@ -56,6 +61,7 @@ class Items:
     colors: Array
     has_grid: bool = False
     infinite: bool = False
+    unlit: bool = False
 
     def boxes(self) -> tuple[Array, Array]:
         """Returns centers and half lengths of axis-aligned bounding boxes, world, (n, 3) [m]."""
@@ -128,6 +134,19 @@ def place_figure(
     return Items(
         kind, shape, positions[good], rotations[good], scales[good], colors, has_grid, figure.kind == "plane"
     )
+
+
+def patch_figure(patches: PressurePatches, scale: Scale) -> Figure | None:
+    """Returns the area of a contact as a figure with the colors of its pressures; ``None`` if it has no extent."""
+    refined = patches.refined(scale.high, FACE_STEP)
+    vertices = refined.positions.reshape(-1, 3)
+    if not len(vertices) or not np.ptp(vertices, axis=0).any():
+        return None
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    shape = Shape(vertices, faces, scale.colors(refined.pressures.mean(axis=1)))
+    origin, upright = np.zeros((1, 1, 1, 3)), np.array([0.0, 0.0, 0.0, 1.0]).reshape(1, 1, 1, 4)
+    ones = np.ones((1, 1, 3))
+    return Figure(patches.name, "patch", shape, np.zeros(3), origin, upright, ones, ones[..., 0] > 0.0)
 
 
 def curve_tube(curve: Curve, record: int, row: int, width: float) -> list[Items]:
@@ -251,6 +270,7 @@ class Stage:
             "color": linear(items.colors),
             "has_grid": np.full(count, items.has_grid),
             "infinite": np.full(count, items.infinite),
+            "unlit": np.full(count, items.unlit),
             "lower": (centers - halves - margin - origin) / unit,
             "upper": (centers + halves + margin - origin) / unit,
         }
@@ -290,6 +310,7 @@ class PlacedWorld:
             "color": wp.vec3,
             "has_grid": wp.uint8,
             "infinite": wp.uint8,
+            "unlit": wp.uint8,
         }
         for name, dtype in types.items():
             setattr(self.struct, name, wp.array(columns[name], dtype=dtype, device=device))
