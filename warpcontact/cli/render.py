@@ -90,6 +90,18 @@ def add_to(commands: Any) -> None:
         "--force-scale", metavar="M/N", type=float, help="length of arrows (default: the largest force fits)"
     )
     render.add_argument(
+        "--pressure",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="areas of body contacts, colored by pressure (default: yes)",
+    )
+    render.add_argument(
+        "--max-pressure",
+        metavar="PA",
+        type=float,
+        help="pressure of the upper end of the color scale (default: the largest one)",
+    )
+    render.add_argument(
         "--color-by", metavar="NAME", help="color moving bodies by a parameter or an outcome, such as ball.mass"
     )
     render.add_argument(
@@ -186,9 +198,15 @@ def _size(text: str) -> tuple[int, int]:
 
 def _with_option_name(text: str) -> str:
     """Returns an error about an argument with the name of its command-line option."""
-    names = {"view_from": "from", "color_by": "color-by", "look_at": "look-at", "force_scale": "force-scale"}
+    names = {
+        "view_from": "from",
+        "color_by": "color-by",
+        "look_at": "look-at",
+        "force_scale": "force-scale",
+        "max_pressure": "max-pressure",
+    }
     found = re.match(
-        r"(view_from|color_by|look_at|force_scale|size|time|fps|speed|distance|fov|samples|threads|background|device)\b",
+        r"(view_from|color_by|look_at|force_scale|max_pressure|size|time|fps|speed|distance|fov|samples|threads|background|device)\b",
         text,
     )
     return f"--{names.get(found[1], found[1])}{text[found.end() :]}" if found else text

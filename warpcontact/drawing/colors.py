@@ -75,6 +75,12 @@ def pressure_scale(largest: float) -> Scale:
     return Scale(0.0, largest, PRESSURE_COLORMAP)
 
 
+def pressure_stops(count: int = 17) -> list[list[float]]:
+    """Returns evenly spaced colors of the color map of pressures, sRGB in 0…1, from 0 to the largest pressure."""
+    colors = pressure_scale(1.0).colors(np.linspace(0.0, 1.0, count))
+    return [[round(float(part), 4) for part in color] for color in colors]
+
+
 def gap_colors(gaps: Array, deepest: float, far: float) -> Array:
     """Returns the sRGB colors of gaps, in 0…1, (…, 3).
 

@@ -130,22 +130,28 @@ class ContactPressure:
         found: list[list[PressurePatches]] = [[] for _ in keys]
         sets = [one for one in model.force_elements if isinstance(one, BodyContactSet) and not one.parts.law.rigid]
         for body_contacts in sets:
-            own_map = pressure_map(body_contacts, model)
-            forces = own_map.normal_force((model.envs, body_contacts.count))
+            own_map = pressure_map(body_contacts, model, len(keys))
+            forces = own_map.normal_force((len(keys), body_contacts.count))
             scales = np.ones_like(forces)
             shown = np.zeros(body_contacts.count, dtype=bool)
             for contact, items in body_contacts.items.items():
                 shown[items] = contact.name in {one.name for one in self.contacts}
-                scales[: len(keys), items] = self._scale(contact, forces[: len(keys), items], keys)
+                scales[:, items] = self._scale(contact, forces[:, items], keys)
             drawn = own_map.is_main & (own_map.weights > 0.0) & (own_map.fractions > 0.0) & shown[own_map.pair]
-            drawn &= own_map.env < len(keys)
             drawn &= scales[own_map.env, own_map.pair] > 0.0
             pressures = own_map.pressures * scales[own_map.env, own_map.pair][:, None]
-            for contact, items in body_contacts.items.items():
-                own = drawn & (own_map.pair >= items.start) & (own_map.pair < items.stop)
-                for number in np.unique(own_map.env[own]).tolist():
-                    rows = own & (own_map.env == number)
-                    found[number].append(PressurePatches(contact.name, own_map.positions[rows], pressures[rows]))
+            names = [contact.name for contact in body_contacts.items]
+            firsts = [items.start for items in body_contacts.items.values()]
+            rows = np.flatnonzero(drawn)
+            contact_numbers = np.searchsorted(firsts, own_map.pair[rows], side="right") - 1
+            own_keys = own_map.env[rows].astype(np.int64) * len(names) + contact_numbers
+            order = np.argsort(own_keys, kind="stable")
+            for own in np.split(order, np.flatnonzero(np.diff(own_keys[order])) + 1) if len(order) else []:
+                number, contact_number = divmod(int(own_keys[own[0]]), len(names))
+                patches = PressurePatches(
+                    names[contact_number], own_map.positions[rows[own]], pressures[rows[own]]
+                )
+                found[number].append(patches)
         return found
 
     def _scale(self, contact: BodyContact, forces: Array, keys: list[tuple[int, int]]) -> Array:
@@ -184,7 +190,7 @@ def _model(replay: Replay, envs: int) -> DeviceModel:
 
 def _set_state(model: DeviceModel, replay: Replay, keys: list[tuple[int, int]]) -> None:
     """Sets parameters and state of each environment to those of a record and environment of the replay."""
-    # Further environments repeat the last one.
+    # Further environments are not evaluated; they repeat the last one.
     padded = [*keys, *[keys[-1]] * (model.envs - len(keys))]
     records, rows = (np.array(column) for column in zip(*padded, strict=True))
     for name in model:

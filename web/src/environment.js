@@ -1,7 +1,7 @@
 // The arrays of one environment, in the order in which warpcontact/visualize/report/replay.py packs them.
 import { unpack } from "./unpack.js";
 
-/** Returns what moves in one environment: figures, curves and touches. */
+/** Returns what moves in one environment: figures, curves, touches and areas of contact. */
 export async function unpackEnvironment(pack, scene) {
   const arrays = await unpack(pack);
   let next = 0;
@@ -10,6 +10,9 @@ export async function unpackEnvironment(pack, scene) {
     figures: scene.figures.map(() => ({ positions: take(), turns: take(), scales: take() })),
     curves: scene.curves.map(() => ({ points: take(), shown: take() })),
     touches: scene.touches.map((about) => ({ points: take(), forces: take(), gaps: about.gaps ? take() : null })),
+    patches: scene.pressure
+      ? { records: take(), vertexStarts: take(), faceStarts: take(), vertices: take(), pressures: take(), faces: take() }
+      : null,
   };
 }
 

@@ -20,6 +20,7 @@ export function startKeys(replay) {
     "-": () => replay.faster(-1),
     a: () => press("replay-arrows"),
     g: () => press("replay-gaps"),
+    p: () => press("replay-pressure"),
     f: () => replay.fit(),
     "?": () => document.getElementById("replay-help").showModal(),
   };

@@ -23,6 +23,12 @@ export function length(metres) {
   return `${number(metres * 1e9, 3)}\u202fnm`;
 }
 
+/** Returns a pressure in Pa, kPa, MPa or GPa. */
+export function pressure(pascals) {
+  const [unit, factor] = pascals >= 1e9 ? ["GPa", 1e-9] : pascals >= 1e6 ? ["MPa", 1e-6] : pascals >= 1e3 ? ["kPa", 1e-3] : ["Pa", 1];
+  return `${number(pascals * factor, 3)}\u202f${unit}`;
+}
+
 /** Returns a force in N, kN or mN. */
 export function force(newtons) {
   const [unit, factor] = newtons >= 1e4 ? ["kN", 1e-3] : newtons < 0.1 ? ["mN", 1e3] : ["N", 1];

@@ -2,7 +2,8 @@
 import { gapBar } from "./colors.js";
 import { boundsOf, momentOf, unpackEnvironment, unpackShapes } from "./environment.js";
 import { Figure, geometryOf } from "./figures.js";
-import { force, length, number } from "./numbers.js";
+import { force, length, number, pressure } from "./numbers.js";
+import { Patches, pressureBar } from "./patches.js";
 import { follow, select, selection } from "./selection.js";
 import { Stage } from "./stage.js";
 import { Curve, Touch } from "./sticks.js";
@@ -54,6 +55,7 @@ class Replay {
     this.figures = [];
     this.curves = [];
     this.touches = [];
+    this.patches = [];
     canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
       tell("The graphics card has given up the replay; reload the page.");
@@ -82,6 +84,7 @@ class Replay {
       env: this.shown, envs: this.envs, time: this.time, record, part, records: this.times.length,
       playing: this.playing, speed: this.speed, figures, frames: this.stage.frames,
       arrows: element("replay-arrows").checked ? this.touches.reduce((sum, touch) => sum + touch.acting, 0) : 0,
+      patches: element("replay-pressure").checked ? this.patches.reduce((sum, one) => sum + one.triangles, 0) : 0,
       gaps: element("replay-gaps").checked, curves: this.curves.filter((curve) => curve.mesh.visible).length,
       camera: this.stage.camera.position.toArray(), calls: this.stage.renderer.info.render.calls,
       triangles: this.stage.renderer.info.render.triangles,
@@ -105,7 +108,7 @@ class Replay {
     slider.setAttribute("aria-valuetext", told);
     const moment = momentOf(this.times, this.time);
     for (const figure of this.figures) if (figure.moves) figure.place(moment);
-    for (const one of [...this.curves, ...this.touches]) one.place(moment);
+    for (const one of [...this.curves, ...this.touches, ...this.patches]) one.place(moment);
     select("time", this.time);
     this.stage.draw();
   }
@@ -166,7 +169,7 @@ class Replay {
     this.wanted = env;
     const found = await unpackEnvironment(pack, about);
     if (this.wanted !== env) return; // another was asked for meanwhile
-    for (const old of [...this.figures, ...this.curves, ...this.touches]) old.dispose();
+    for (const old of [...this.figures, ...this.curves, ...this.touches, ...this.patches]) old.dispose();
     const { scene } = this.stage;
     scene.remove(...(this.drawn ?? []));
     this.environment = found;
@@ -179,7 +182,8 @@ class Replay {
       .map(({ arrays, of }) => new Figure(of, this.geometries[of.shape], arrays));
     this.curves = found.curves.map((arrays, i) => new Curve(about.curves[i], arrays, thickness));
     this.touches = found.touches.map((arrays, i) => new Touch(about.touches[i], arrays, about));
-    this.drawn = [...this.figures, ...this.curves].map(({ mesh }) => mesh);
+    this.patches = found.patches ? [new Patches(found.patches, about.pressure)] : [];
+    this.drawn = [...this.figures, ...this.curves, ...this.patches].map(({ mesh }) => mesh);
     this.drawn.push(...this.touches.flatMap(({ meshes }) => meshes));
     scene.add(...this.drawn);
     this.shown = env;
@@ -193,6 +197,8 @@ class Replay {
   #showTouches() {
     for (const touch of this.touches) touch.show(element("replay-arrows").checked, element("replay-gaps").checked);
     const arrows = element("replay-arrows").checked && this.scene.largestForce > 0;
+    for (const one of this.patches) one.mesh.visible = element("replay-pressure").checked;
+    element("legend-pressure").hidden = !(element("replay-pressure").checked && this.scene.pressure);
     element("legend-force").hidden = !arrows;
     element("legend-gap").hidden = !(element("replay-gaps").checked && this.scene.gaps);
     this.stage.draw();
@@ -219,6 +225,12 @@ class Replay {
     const touches = this.scene.touches.length > 0;
     element("replay-arrows").disabled = !touches;
     element("replay-gaps").disabled = !this.scene.gaps;
+    element("replay-pressure").disabled = !this.scene.pressure;
+    if (this.scene.pressure) {
+      element("legend-pressure-bar").style.background = pressureBar(this.scene.pressure);
+      element("legend-pressure-low").textContent = "0";
+      element("legend-pressure-high").textContent = pressure(this.scene.pressure.largest);
+    }
     element("legend-bar").style.background = gapBar(this.scene.gapColors);
     element("legend-low").textContent = length(-this.scene.deepest).replace(/^-/, "−");
     element("legend-high").textContent = length(this.scene.size);
@@ -236,7 +248,7 @@ class Replay {
     element("replay-after").addEventListener("click", () => this.turn(1));
     element("replay-fit").addEventListener("click", () => this.fit());
     element("replay-keys").addEventListener("click", () => element("replay-help").showModal());
-    for (const id of ["replay-arrows", "replay-gaps"]) element(id).addEventListener("change", () => this.#showTouches());
+    for (const id of ["replay-arrows", "replay-gaps", "replay-pressure"]) element(id).addEventListener("change", () => this.#showTouches());
   }
 }
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from warpcontact.validation.checks import Array
 
 # Largest difference of depths within a triangle, relative to the largest depth of its pair.
-DEPTH_STEP = 1.0 / 8.0
+DEPTH_STEP = 1.0 / 6.0
 # Largest edge of a triangle of a face with several layers, relative to the extent of the face.
 CELL = 1.0 / 24.0
 # Tests of points against triangles in one block.
@@ -79,14 +79,23 @@ class MapTriangles:
         return np.roll(values, -1, axis=1) - values
 
 
+def groups_of(keys: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Returns the order in which equal keys are consecutive, and the start of each group of them."""
+    order = np.argsort(keys, kind="stable")
+    sorted_keys = keys[order]
+    return order, np.flatnonzero(np.concatenate([[True], sorted_keys[1:] != sorted_keys[:-1]]))
+
+
 def refine(triangles: MapTriangles) -> MapTriangles:
     """Returns triangles in which depths vary by little of the largest depth of their pair."""
     if not len(triangles):
         return triangles
-    keys = np.unique(np.stack([triangles.env, triangles.pair], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
-    largest = np.zeros(keys.max() + 1)
-    np.maximum.at(largest, keys, triangles.depths.max(axis=1))
-    finished, pending, limits = [], triangles, DEPTH_STEP * largest[keys]
+    keys = triangles.env.astype(np.int64) * (int(triangles.pair.max()) + 1) + triangles.pair
+    order, starts = groups_of(keys)
+    largest = np.maximum.reduceat(triangles.depths.max(axis=1)[order], starts)
+    limits = np.empty(len(triangles))
+    limits[order] = DEPTH_STEP * np.repeat(largest, np.diff([*starts, len(order)]))
+    finished, pending = [], triangles
     while len(pending):
         changes = np.abs(pending.edges(pending.depths))
         divided = changes.max(axis=1) > limits
@@ -114,9 +123,11 @@ def hide_layers(triangles: MapTriangles, half_spaces: NDArray[np.bool_]) -> MapT
     layered = np.zeros(keys.max() + 1, dtype=bool)
     layered[keys[triangles.weight < 0.0]] = True
     parts = [triangles.select(~layered[keys])]
-    for key in np.flatnonzero(layered):
-        own = triangles.select(keys == key)
-        parts.append(_visible(own, bool(half_spaces[own.pair[0]])))
+    order, starts = groups_of(keys)
+    for rows in np.split(order, starts[1:]):
+        if layered[keys[rows[0]]]:
+            own = triangles.select(rows)
+            parts.append(_visible(own, bool(half_spaces[own.pair[0]])))
     return parts[0].joined(*parts[1:])
 
 

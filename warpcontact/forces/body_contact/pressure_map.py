@@ -62,14 +62,16 @@ class PressureMap:
         return _sums(self.env, self.pair, self.weights * self.areas * self.pressures.mean(axis=1), shape)
 
 
-def pressure_map(body_contacts: "BodyContactSet", model: "DeviceModel") -> PressureMap:
+def pressure_map(body_contacts: "BodyContactSet", model: "DeviceModel", envs: int | None = None) -> PressureMap:
     """Returns the pressure map of a set of compliant body contacts in the current state of a model.
+
+    ``envs``: number of environments, from the first; ``None``: all.
 
     The pressure is that of the law at the poses and velocities of the state. Contacts are taken as new: a law with an impact
     speed has the present approach speed.
     """
     one, device = body_contacts, model.device
-    pairs, triangles = _triangles(one, model)
+    pairs, triangles = _triangles(one, model, model.envs if envs is None else envs)
     half_spaces = np.array(
         [getattr(pair[1], "kind", None) is Plane for contact in one.items for pair in contact.pairs], dtype=bool
     )
@@ -137,10 +139,10 @@ def _scaled(found: PressureMap, body_contacts: "BodyContactSet", model: "DeviceM
     return replace(found, pressures=scale[:, None] * found.pressures)
 
 
-def _triangles(body_contacts: "BodyContactSet", model: "DeviceModel") -> tuple[Any, MapTriangles]:
-    """Returns the overlaps of all pairs, a struct ``MapPairs``, and the triangles of the kernels."""
+def _triangles(body_contacts: "BodyContactSet", model: "DeviceModel", envs: int) -> tuple[Any, MapTriangles]:
+    """Returns the overlaps of all pairs in some environments, a struct ``MapPairs``, and the triangles of the kernels."""
     one, device = body_contacts, model.device
-    shape = (model.envs, one.count)
+    shape = (envs, one.count)
     pairs = kernels.MapPairs()
     for name in ("depth", "share"):
         setattr(pairs, name, wp.zeros(shape, dtype=wp.float64, device=device))

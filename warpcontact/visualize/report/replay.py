@@ -19,6 +19,7 @@ from warpcontact.validation.number_format import count
 from warpcontact.visualize.report.markup import Markup, element, joined, short
 from warpcontact.visualize.report.outcomes import Choice
 from warpcontact.visualize.report.packing import Pack, add_shape, drawable_shape
+from warpcontact.visualize.report.pressure import PressureData
 
 # Largest number of records; the replay interpolates between them.
 FRAMES = 256
@@ -40,6 +41,7 @@ KEYS = (
     ("+ −", "faster or slower"),
     ("A", "arrows of forces"),
     ("G", "contact points, colored by gap"),
+    ("P", "areas of body contacts, colored by pressure"),
     ("F", "fit the view"),
     ("?", "this help"),
 )
@@ -85,9 +87,13 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
     if drawing is None:
         return replay
     shapes, replay.scene = _described(drawing)
+    pressure = PressureData(drawing)
+    replay.scene["pressure"] = pressure.description
+    fewest = len(rows)
     remaining_bytes = MAX_BYTES_REQUESTED if choice.requested else MAX_BYTES
     for row, env in enumerate(drawing.envs):
-        packed = _packed(drawing, row)
+        packed, own_records = _packed(drawing, pressure, row)
+        fewest = min(fewest, own_records)
         remaining_bytes -= len(packed["data"])
         if remaining_bytes < 0 and replay.packs:
             break
@@ -102,13 +108,17 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
         )
     if len(rows) < records:
         replay.notes.append(f"{count(len(rows))} of {count(records)} records are drawn.")
+    if fewest < len(rows):
+        replay.notes.append(
+            f"Pressure is drawn at {count(fewest)} or more of {count(len(rows))} records, because of its size."
+        )
     return replay
 
 
 def _frames(recording: xr.Dataset, scene: Scene, most: int) -> NDArray[np.intp]:
     """Returns the records to draw: evenly spaced ones, and those with the largest and smallest forces."""
     records = recording.sizes["time"]
-    contacts: list[Any] = [*scene.contacts, *scene.shape_contacts]
+    contacts: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.body_contacts]
     forces = [recording[name] for one in contacts if (name := f"{one.name}.normal_force") in recording]
     if records <= most or most < 8 or not forces:
         return evenly(records, most)
@@ -206,8 +216,8 @@ def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
     return pack.content(), scene
 
 
-def _packed(drawing: Drawing, row: int) -> dict[str, Any]:
-    """Returns environment ``row`` of a drawing as a pack."""
+def _packed(drawing: Drawing, pressure: PressureData, row: int) -> tuple[dict[str, Any], int]:
+    """Returns environment ``row`` of a drawing as a pack, and the number of records with areas of contact."""
     pack = Pack()
     finest = POSITION_STEP * drawing.size
     for figure in drawing.figures:
@@ -228,7 +238,8 @@ def _packed(drawing: Drawing, row: int) -> dict[str, Any]:
         _add(pack, _env_values(contact.forces, row), 0.0)
         if contact.gaps is not None:
             _add(pack, _env_values(contact.gaps, row)[..., None], 0.0)
-    return pack.content()
+    own_records = pressure.add(pack, row, finest)
+    return pack.content(), own_records
 
 
 def _env_values(values: np.ndarray, row: int, items: int | None = None) -> np.ndarray:
@@ -298,6 +309,7 @@ def _controls() -> Markup:
         ),
         _switch("replay-arrows", "Forces"),
         _switch("replay-gaps", "Gaps"),
+        _switch("replay-pressure", "Pressure"),
         _button("replay-fit", "Fit", "Fit the view (F)"),
         _button("replay-keys", "?", "Keys (?)"),
         class_="row options",
@@ -306,16 +318,19 @@ def _controls() -> Markup:
 
 
 def _legend() -> Markup:
-    bar = element(
-        "div",
-        element("span", id="legend-low"),
-        element("span", id="legend-bar", class_="bar", aria_hidden="true"),
-        element("span", id="legend-high"),
-        class_="scale",
-    )
+    def bar(prefix: str) -> Markup:
+        return element(
+            "div",
+            element("span", id=f"{prefix}-low"),
+            element("span", id=f"{prefix}-bar", class_="bar", aria_hidden="true"),
+            element("span", id=f"{prefix}-high"),
+            class_="scale",
+        )
+
     return element(
         "div",
-        element("div", "gap", bar, id="legend-gap", hidden=True),
+        element("div", "gap", bar("legend"), id="legend-gap", hidden=True),
+        element("div", "pressure", bar("legend-pressure"), id="legend-pressure", hidden=True),
         element("div", id="legend-force", hidden=True),
         id="replay-legend",
         class_="legend",
