@@ -33,12 +33,14 @@ class PressurePatches:
 
     Attributes:
         name: Name of the contact.
-        positions: Vertices on the reference surface, (n, 3, 3), world [m].
+        positions: Vertices on the reference surface, (n, 3, 3), counter-clockwise around the normals, world [m].
+        normals: Unit normals of the triangles out of the second solid, (n, 3), world.
         pressures: Force per area at the vertices, (n, 3) [Pa].
     """
 
     name: str
     positions: Array
+    normals: Array
     pressures: Array
 
     def refined(self, largest: float, step: float = COLOR_STEP) -> "PressurePatches":
@@ -48,13 +50,14 @@ class PressurePatches:
         """
         if largest <= 0.0:
             return self
-        finished, positions, pressures = [], self.positions, self.pressures
+        finished, positions, normals, pressures = [], self.positions, self.normals, self.pressures
         while len(positions):
             changes = np.abs(np.roll(pressures, -1, axis=1) - pressures)
             divided = changes.max(axis=1) > step * largest
-            finished.append((positions[~divided], pressures[~divided]))
+            finished.append((positions[~divided], normals[~divided], pressures[~divided]))
             edge = changes[divided].argmax(axis=1)
             positions, pressures = (_halves(values[divided], edge) for values in (positions, pressures))
+            normals = np.tile(normals[divided], (2, 1))
         if not finished:
             return self
         return PressurePatches(self.name, *(np.concatenate(column) for column in zip(*finished, strict=True)))
@@ -148,8 +151,9 @@ class ContactPressure:
             order = np.argsort(own_keys, kind="stable")
             for own in np.split(order, np.flatnonzero(np.diff(own_keys[order])) + 1) if len(order) else []:
                 number, contact_number = divmod(int(own_keys[own[0]]), len(names))
+                chosen = rows[own]
                 patches = PressurePatches(
-                    names[contact_number], own_map.positions[rows[own]], pressures[rows[own]]
+                    names[contact_number], own_map.positions[chosen], own_map.normals[chosen], pressures[chosen]
                 )
                 found[number].append(patches)
         return found

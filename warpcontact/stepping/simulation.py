@@ -479,14 +479,19 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             warnings.warn(warning, stacklevel=caller_stacklevel())
         attributes = {
             "dt": self.dt,
-            "integrator": type(self.integrator).__name__,
+            **self.integrator_attributes(),
             "frozen_environments": self.model.health().frozen.tolist(),
         }
+        return recorder.finish(attributes)
+
+    def integrator_attributes(self) -> dict[str, Any]:
+        """Returns the attributes of a recording that describe the integrator."""
+        attributes: dict[str, Any] = {"integrator": type(self.integrator).__name__}
         if (iterations := getattr(self.integrator, "iterations", None)) is not None:
             attributes["iterations"] = iterations
         if compliant := getattr(self.integrator, "compliant", ()):
             attributes["compliant"] = list(compliant)
-        return recorder.finish(attributes)
+        return attributes
 
     def advance(
         self,

@@ -36,7 +36,8 @@ class PressureMap:
     Attributes:
         env: Environments.
         pair: Pairs, numbered as in the set.
-        positions: Vertices on the reference surface, (n, 3, 3), world [m].
+        positions: Vertices on the reference surface, (n, 3, 3), counter-clockwise around the normals, world [m].
+        normals: Mean unit normals out of the second solid, (n, 3), world.
         pressures: Force per area at the vertices, (n, 3) [Pa].
         areas: Areas, projected along the columns [m²].
         fractions: Mean part of the pressure that acts, 0 to 1.
@@ -47,6 +48,7 @@ class PressureMap:
     env: NDArray[np.int32]
     pair: NDArray[np.int32]
     positions: Array
+    normals: Array
     pressures: Array
     areas: Array
     fractions: Array
@@ -114,13 +116,18 @@ def pressure_map(body_contacts: "BodyContactSet", model: "DeviceModel", envs: in
     vectors = 0.5 * np.cross(edges[:, 0], edges[:, 1])
     axes = triangles.normals.sum(axis=1)
     axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1.0e-300)
+    signed = (vectors * axes).sum(axis=1)
+    # Counter-clockwise around the normal.
+    corners = np.where((signed < 0.0)[:, None], [0, 2, 1], [0, 1, 2])
+    rows = np.arange(count)[:, None]
     share = pairs.share.numpy()[triangles.env, triangles.pair]
     found = PressureMap(
         env=triangles.env,
         pair=triangles.pair,
-        positions=triangles.positions + origin.numpy().reshape(count, 3, 3),
-        pressures=pressure.numpy().reshape(count, 3),
-        areas=np.abs((vectors * axes).sum(axis=1)),
+        positions=(triangles.positions + origin.numpy().reshape(count, 3, 3))[rows, corners],
+        normals=axes,
+        pressures=pressure.numpy().reshape(count, 3)[rows, corners],
+        areas=np.abs(signed),
         fractions=fraction.numpy().reshape(count, 3).mean(axis=1),
         weights=triangles.weight,
         is_main=(triangles.side == 0) == (share >= 0.5),

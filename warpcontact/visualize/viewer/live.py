@@ -21,7 +21,9 @@ from warpcontact.visualize.viewer.values import ParameterText, rows_of, value_te
 MAX_FIELDS = 8
 
 # Sensors recorded for each contact: drawn as arrows and listed as values.
-_CONTACT_SENSORS = ("gap", "normal_force", "normal", "point", "friction_force", "force", "center")
+_CONTACT_SENSORS = ("gap", "normal_force", "normal", "point", "point_force", "friction_force", "force", "center")
+# Sensors of bodies from which pressures are computed, in addition to their poses.
+_BODY_SENSORS = ("linear_velocity", "angular_velocity")
 #: Fraction of the frame time that is spent in steps.
 STEPPING = 0.7
 #: Growth of the arrow scale per frame after a large force.
@@ -193,12 +195,14 @@ class Live(ViewerThread):
         self._steps_per_second = 0.0
         self._last_update = 0.0
         scene, names = simulation.model.scene, simulation.model.sensor_names
-        force_elements: list[Any] = [*scene.contacts, *scene.shape_contacts]
+        force_elements: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.body_contacts]
         self._displayed_sensors = list(
             dict.fromkeys([*default_sensors(simulation.model, with_gap=True), *self._set_sensors()])
         )
         drawn = [f"{one.name}.{key}" for one in force_elements for key in _CONTACT_SENSORS]
         drawn += [f"{coupling.name}.status" for coupling in scene.couplings]
+        if scene.body_contacts:
+            drawn += [f"{body.name}.{key}" for body in scene.bodies for key in _BODY_SENSORS]
         self._recorder = Recorder(
             simulation.model,
             [name for name in [*self._displayed_sensors, *drawn] if name in names],
@@ -253,6 +257,7 @@ class Live(ViewerThread):
 
     def _select_env(self, env: int) -> None:
         self._force_scale = np.inf
+        self.stage.largest_pressure = 0.0
         self._capture_state()
         if self._drawing is not None:
             self.stage.follow(self._drawing, 0)
@@ -323,7 +328,7 @@ class Live(ViewerThread):
         recorder = self._recorder
         recorder.rewind()
         recorder.take(self.simulation.time)
-        recording = recorder.finish({})
+        recording = recorder.finish(self.simulation.integrator_attributes())
         self._drawing = drawing = drawing_of(recording, envs=[env])
         if any(contact.forces.any() for contact in drawing.contact_forces):
             # Keep arrows comparable for a few seconds: the scale follows the largest recent force.
@@ -361,6 +366,7 @@ class Live(ViewerThread):
     def refresh(self) -> None:
         """Shows the state after a change other than a step."""
         self._force_scale = np.inf
+        self.stage.largest_pressure = 0.0
         self._capture_state()
         self._update_environments()
         self._describe()

@@ -18,7 +18,7 @@ import viser
 from numpy.typing import NDArray
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
-from warpcontact.drawing.colors import GAPS
+from warpcontact.drawing.colors import GAPS, pressure_stops
 from warpcontact.drawing.drawing import Drawing
 from warpcontact.validation import safe_text
 from warpcontact.visualize.viewer.stage import DEEP_FRACTION, FAR_FRACTION, Stage
@@ -130,8 +130,19 @@ def message(text: str, *, is_error: bool = False) -> str:
 def gap_legend(deepest: float, far: float) -> str:
     """Returns an HTML legend of the gap colors, from penetration ``deepest`` [m] to distance ``far`` [m]."""
     colors = ", ".join(f"rgb{color}" for _, color in GAPS)
+    return _legend(colors, f"−{deepest:.3g} m", "0", f"{far:.3g} m")
+
+
+def pressure_legend(largest: float) -> str:
+    """Returns an HTML legend of the colors of pressures, from 0 to ``largest`` [Pa]."""
+    stops = [[round(255.0 * part) for part in color] for color in pressure_stops()]
+    return _legend(", ".join(f"rgb{tuple(color)}" for color in stops), "0", f"{largest:.3g} Pa")
+
+
+def _legend(colors: str, *marks: str) -> str:
+    """Returns an HTML legend: a bar with CSS colors and marks below it."""
     bar = f"height:0.6em;border-radius:0.3em;background:linear-gradient(to right, {colors})"
-    ends = f"<span>−{deepest:.3g} m</span><span>0</span><span>{far:.3g} m</span>"
+    ends = "".join(f"<span>{mark}</span>" for mark in marks)
     line = f'<div style="display:flex;justify-content:space-between">{ends}</div>'
     return f'<div style="{_STYLE}"><div style="{bar}"></div>{line}</div>'
 
@@ -323,6 +334,15 @@ class ViewerThread(ABC):
                 self._show_gaps,
             )
             self._gap_legend = gui.add_html("")
+            self.pressure_input = self.on_change(
+                gui.add_checkbox(
+                    "Pressure",
+                    self.stage.pressure,
+                    hint="areas of body contacts, colored by pressure; the first time compiles kernels",
+                ),
+                self._show_pressure,
+            )
+            self._pressure_legend = gui.add_html("")
             self.follow_input = self.on_change(
                 gui.add_checkbox("Follow", self.stage.following, hint="the camera moves with the bodies"),
                 self._follow_bodies,
@@ -341,6 +361,10 @@ class ViewerThread(ABC):
         self.stage.gaps = on
         self.redraw()
 
+    def _show_pressure(self, on: bool) -> None:
+        self.stage.pressure = on
+        self.redraw()
+
     def _follow_bodies(self, on: bool) -> None:
         self.stage.following = on
         self.redraw()
@@ -357,6 +381,8 @@ class ViewerThread(ABC):
         if self.stage.gaps and any(contact.gaps is not None for contact in drawing.contact_forces):
             legend = gap_legend(DEEP_FRACTION * drawing.size, FAR_FRACTION * drawing.size)
         self._gap_legend.content = legend
+        largest = self.stage.largest_pressure
+        self._pressure_legend.content = pressure_legend(largest) if self.stage.pressure and largest > 0.0 else ""
 
     @abstractmethod
     def redraw(self) -> None:

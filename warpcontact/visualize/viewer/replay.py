@@ -249,6 +249,7 @@ class Replay(ViewerThread):
     def _select_env(self, env: int) -> None:
         """Shows another environment at the same time."""
         self._drawing = self.source.drawing(env)
+        self.stage.largest_pressure = 0.0
         self._write_facts(env)
         self._set_time_range(None)
         if self._drawing is not None:

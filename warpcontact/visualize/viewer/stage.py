@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from PIL import Image
 
-from warpcontact.drawing.colors import gap_colors, linear
+from warpcontact.drawing.colors import Scale, gap_colors, linear, pressure_scale
+from warpcontact.drawing.contact_pressure import PressurePatches
 from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
 from warpcontact.validation.checks import Array
 
@@ -22,6 +25,12 @@ SUN_DIRECTION = (-4.0, -6.0, 10.0)
 ARROW = 0.03
 LINE = 0.02
 SPOT = 0.08
+# Distance of areas of contact from their surfaces, as a multiple of the size of the drawing.
+LIFT = 2.0e-3
+# Colors in the texture of pressures.
+_TEXELS = 256
+# Opacity of bodies when the areas between them are shown.
+SEE_THROUGH = 0.35
 #: Range of the gap colors, as multiples of the size: penetration and distance.
 DEEP_FRACTION, FAR_FRACTION = 0.02, 1.0
 
@@ -76,6 +85,8 @@ class Stage:
         forces: Whether to draw force arrows.
         length: Factor on the length of arrows.
         gaps: Whether to color contacts by their gaps.
+        pressure: Whether to show the areas of body contacts colored by pressure, and bodies transparent.
+        largest_pressure: Largest pressure shown since the environment was selected, the end of the color scale [Pa].
         following: Whether the camera moves with the bodies.
     """
 
@@ -84,10 +95,13 @@ class Stage:
         self.forces = True
         self.length = 1.0
         self.gaps = False
+        self.pressure = False
+        self.largest_pressure = 0.0
         self.following = False
         self._figures: list[_Drawn] = []
         self._curves: list[Any] = []
         self._touches: list[tuple[Any, Any]] = []
+        self._patches: list[Any] = []
         self._names: list[list[str]] = []
         self._center: Array | None = None
         # The default lights of viser overexpose colors.
@@ -137,6 +151,7 @@ class Stage:
             for contact, (arrows, spots) in zip(drawing.contact_forces, self._touches, strict=True):
                 self._draw_forces(arrows, contact, record, force_scale)
                 self._draw_spots(spots, contact, record, drawing.size, shown=contact.name not in spheres)
+            self._draw_pressure(drawing, record)
             if self.following:
                 self.follow(drawing, record)
 
@@ -145,9 +160,10 @@ class Stage:
         for drawn in self._figures:
             for node in drawn.nodes:
                 node.remove()
-        for node in [*self._curves, *(one for pair in self._touches for one in pair)]:
+        for node in [*self._curves, *self._patches, *(one for pair in self._touches for one in pair)]:
             node.remove()
         self._figures, self._curves, self._touches, self._names = [], [], [], []
+        self._patches, self.largest_pressure = [], 0.0
 
     def frame_bodies(self, drawing: Drawing, record: int) -> None:
         """Moves the cameras so that all moving bodies are in view."""
@@ -193,6 +209,7 @@ class Stage:
             previous = self._figures[number]
         for node, color in zip(previous.nodes, previous.colors, strict=True):
             node.visible = bool(present.any())
+            node.opacity = SEE_THROUGH if self.pressure and figure.kind not in ("surface", "plane") else None
             if present.any():
                 node.batched_positions, node.batched_wxyzs, node.batched_scales = positions, orientations, scales
                 node.batched_colors = _bytes(linear(color if colors is None else colors[present]))
@@ -260,6 +277,27 @@ class Stage:
             node.points = np.stack([start, start + self.length * force_scale * force[acting]], axis=1)
         node.visible = bool(self.forces and acting.any())
 
+    def _draw_pressure(self, drawing: Drawing, record: int) -> None:
+        """Shows the areas of body contacts; meshes are replaced, because their triangles change."""
+        for node in self._patches:
+            node.remove()
+        self._patches = []
+        if not self.pressure or drawing.pressure is None:
+            return
+        patches = drawing.pressure.at(record, 0)
+        largest = max((float(one.pressures.max()) for one in patches), default=0.0)
+        self.largest_pressure = max(self.largest_pressure, largest)
+        scale = pressure_scale(self.largest_pressure or 1.0)
+        self._patches = [
+            self.server.scene.add_mesh_trimesh(
+                f"/pressure/{number}",
+                pressure_mesh(one, scale, LIFT * drawing.size),
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            for number, one in enumerate(patches)
+        ]
+
     def _draw_spots(self, node: Any, contact: ContactForces, record: int, size: float, *, shown: bool) -> None:
         gaps = None if contact.gaps is None else at(contact.gaps, record)
         # Without spots for large gaps, which would clutter the picture.
@@ -270,6 +308,32 @@ class Stage:
                 node.points = at(contact.points, record)[near].astype(np.float32)
                 node.colors = _bytes(_gap_colors(gaps[near], size))
         node.visible = bool(near.any())
+
+
+def pressure_mesh(patches: PressurePatches, scale: Scale, lift: float) -> trimesh.Trimesh:
+    """Returns the area of a contact as a mesh with the color map as a texture, independent of light.
+
+    Args:
+        patches: The area.
+        scale: Color scale of the pressures.
+        lift: Distance from the reference surface, which may be drawn at the same depth [m].
+    """
+    vertices = (patches.positions + lift * patches.normals[:, None]).reshape(-1, 3)
+    at = np.clip(patches.pressures.reshape(-1) / scale.high, 0.0, 1.0)
+    colors = _bytes(scale.colors(np.linspace(scale.low, scale.high, _TEXELS)))
+    material = trimesh.visual.material.PBRMaterial(
+        emissiveTexture=Image.fromarray(colors[None]),
+        emissiveFactor=[1.0, 1.0, 1.0],
+        baseColorFactor=[0, 0, 0, 255],
+        metallicFactor=0.0,
+        roughnessFactor=1.0,
+        doubleSided=True,
+    )
+    # From the center of the first to that of the last texel.
+    across = (0.5 + at * (_TEXELS - 1)) / _TEXELS
+    visual = trimesh.visual.TextureVisuals(uv=np.stack([across, np.full_like(at, 0.5)], axis=1), material=material)
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    return trimesh.Trimesh(vertices, faces, visual=visual, process=False)
 
 
 def at(values: NDArray[Any], record: int) -> NDArray[Any]:
