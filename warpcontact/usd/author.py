@@ -233,6 +233,7 @@ class Layout:
         spacing: Grid spacing of environments along x and y [m]; 0: all in place.
         size: Size of the drawing, the length of the largest body [m].
         force_scale: Arrow length per force [m/N].
+        peak_pressure: Largest pressure on the areas of body contacts [Pa].
         own_surfaces: Names of surfaces and shapes that have one prim per environment, because they differ.
     """
 
@@ -241,6 +242,7 @@ class Layout:
     spacing: Array
     size: float
     force_scale: float
+    peak_pressure: float
     own_surfaces: frozenset[str]
 
     @property

@@ -50,6 +50,8 @@ from warpcontact.usd.materials import (
     set_material,
 )
 from warpcontact.usd.physics import define_joint, is_joint, write_joint
+from warpcontact.usd.pressure import NAME as PRESSURE
+from warpcontact.usd.pressure import define_patches, write_patches
 from warpcontact.validation.checks import Array
 
 
@@ -204,6 +206,9 @@ class Prototype:
             path = f"{layout.contact(PROTOTYPE, lines.name)}/force"
             count = lines.force.shape[2]
             define_arrows(self.stage, path, count, lines.color, lines.meaning, layout.force_scale)
+        for contact in self.content.pressure.contacts:
+            path = f"{layout.contact(PROTOTYPE, contact.name)}/{PRESSURE}"
+            define_patches(self.stage, path, layout.peak_pressure)
 
     def _couplings(self) -> None:
         from pxr import UsdGeom
@@ -242,6 +247,7 @@ def layout_of(
         spacing=spacing,
         size=ranges.size,
         force_scale=force_scale,
+        peak_pressure=ranges.peak_pressure,
         own_surfaces=frozenset(found),
     )
 
@@ -378,6 +384,12 @@ class Environments:
         for lines in (*content.lines, *content.resultants):
             prim = stage.GetPrimAtPath(f"{layout.contact(path, lines.name)}/force")
             write_arrows(prim, samples, lines, row, layout.force_scale, layout.size)
+        patches = {
+            one.name: stage.GetPrimAtPath(f"{layout.contact(path, one.name)}/{PRESSURE}")
+            for one in content.pressure.contacts
+        }
+        if patches:
+            write_patches(patches, samples, content, row, layout.peak_pressure, layout.size)
         for curve in content.curves:
             name = curve.coupling.name
             own = layout.coupling(path, name)

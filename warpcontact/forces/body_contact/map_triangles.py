@@ -133,21 +133,31 @@ def hide_layers(triangles: MapTriangles, half_spaces: NDArray[np.bool_]) -> MapT
 
 def _visible(face: MapTriangles, half_space: bool) -> MapTriangles:
     """Returns the visible part of the triangles of one face."""
-    entries = face.select(face.weight < 0.0)
     cells = face.select(face.weight > 0.0)
-    extent = float(np.ptp(face.positions.reshape(-1, 3), axis=0).max())
+    if not len(cells):
+        return cells
+    normal = cells.normals[0, 0]
+    axis = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    u = np.cross(normal, axis)
+    u /= np.linalg.norm(u)
+    axes = np.stack([u, np.cross(normal, u)], axis=1)
+    entries = face.select(face.weight < 0.0)
+    corners = entries.positions @ axes
+    lower, upper = corners.min(axis=1), corners.max(axis=1)
+    largest = CELL * float(np.ptp(face.positions.reshape(-1, 3), axis=0).max())
     finished = []
     while len(cells):
         lengths = np.linalg.norm(cells.edges(cells.positions), axis=-1)
-        divided = lengths.max(axis=1) > CELL * extent
+        divided = lengths.max(axis=1) > largest
+        # Only triangles next to an entry are divided.
+        points = cells.positions[divided] @ axes
+        low, high = points.min(axis=1)[:, None], points.max(axis=1)[:, None]
+        divided[divided] = ((low < upper) & (high > lower)).all(axis=-1).any(axis=1)
         finished.append(cells.select(~divided))
         cells = cells.select(divided)
         cells = cells.halves(lengths[divided].argmax(axis=1))
-    if not finished:
-        return face.select(face.weight > 0.0)
     cells = finished[0].joined(*finished[1:])
-    normal = cells.normals[0, 0]
-    above = _depths_above(cells, entries, normal)
+    above = _depths_above(cells.positions @ axes, cells.depths, corners, entries.depths)
     if not half_space:
         return cells.select(~np.isfinite(above).any(axis=1))
     # The deepest entry above each exit.
@@ -155,39 +165,41 @@ def _visible(face: MapTriangles, half_space: bool) -> MapTriangles:
     return replace(cells, entries=np.clip(deepest, 0.0, cells.depths))
 
 
-def _depths_above(cells: MapTriangles, entries: MapTriangles, normal: Array) -> Array:
-    """Returns the depths of the deepest entry above the center of each cell at its vertices, (n, 3) [m]; −∞: there is none."""
-    axis = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    u = np.cross(normal, axis)
-    u /= np.linalg.norm(u)
-    axes = np.stack([u, np.cross(normal, u)])
-    corners = entries.positions @ axes.T
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+def _depths_above(cells: Array, cell_depths: Array, entries: Array, entry_depths: Array) -> Array:
+    """Returns the depth of the deepest entry above the center of each cell.
+
+    Args:
+        cells: Vertices of the cells in the plane of the face, (n, 3, 2) [m].
+        cell_depths: Depths of columns at their vertices, (n, 3) [m].
+        entries: Vertices of the triangles at which columns enter, (m, 3, 2) [m].
+        entry_depths: Depths at their vertices, (m, 3) [m].
+
+    Returns:
+        Depths at the vertices of the cells, (n, 3) [m]; −∞: there is no entry.
+    """
+    found = np.full((len(cells), 3), -np.inf)
+    first, second = entries[:, 1] - entries[:, 0], entries[:, 2] - entries[:, 0]
     twice = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     good = np.abs(twice) > 0.0
-    first, second, twice = first[good], second[good], twice[good]
-    corners, depths = corners[good, 0], entries.depths[good]
-    found = np.full((len(cells), 3), -np.inf)
-    points = cells.positions @ axes.T
-    size = max(1, _BLOCK // max(1, len(corners)))
+    if not good.any():
+        return found
+    first, second, twice = first[good], second[good], twice[good, None]
+    origin, depths = entries[good, 0], entry_depths[good]
+    slopes = depths[:, 1:] - depths[:, :1]
+    size = max(1, _BLOCK // len(origin))
     for start in range(0, len(cells), size):
         rows = slice(start, start + size)
-        around = np.concatenate([points[rows], points[rows].mean(axis=1, keepdims=True)], axis=1)
-        away = around[:, None] - corners[None, :, None]
-        a = (away[..., 0] * second[:, None, 1] - away[..., 1] * second[:, None, 0]) / twice[:, None]
-        b = (first[:, None, 0] * away[..., 1] - first[:, None, 1] * away[..., 0]) / twice[:, None]
-        at = (
-            depths[:, None, 0]
-            + a * (depths[:, 1] - depths[:, 0])[:, None]
-            + b * (depths[:, 2] - depths[:, 0])[:, None]
-        )
+        # Vertices and center, (cell, entry, 4, 2).
+        points = np.concatenate([cells[rows], cells[rows].mean(axis=1, keepdims=True)], axis=1)
+        away = points[:, None] - origin[:, None]
+        a = (away[..., 0] * second[:, None, 1] - away[..., 1] * second[:, None, 0]) / twice
+        b = (first[:, None, 0] * away[..., 1] - first[:, None, 1] * away[..., 0]) / twice
+        at = depths[:, :1] + a * slopes[:, :1] + b * slopes[:, 1:]
         inside = (a[..., 3] >= 0.0) & (b[..., 3] >= 0.0) & (a[..., 3] + b[..., 3] <= 1.0)
         # An entry at the base itself counts half, and hides from there on.
-        inside &= (at[..., 3] >= 0.0) & (at[..., 3] < cells.depths[rows].mean(axis=1)[:, None])
+        inside &= (at[..., 3] >= 0.0) & (at[..., 3] < cell_depths[rows].mean(axis=1)[:, None])
         center = np.where(inside, at[..., 3], -np.inf)
-        if center.shape[1]:
-            best = center.argmax(axis=1)
-            number = np.arange(len(best))
-            own = at[number, best, :3]
-            found[rows] = np.where(np.isfinite(center[number, best])[:, None], own, -np.inf)
+        best, number = center.argmax(axis=1), np.arange(len(center))
+        hit = np.isfinite(center[number, best])[:, None]
+        found[rows] = np.where(hit, at[number, best, :3], -np.inf)
     return found
