@@ -291,7 +291,7 @@ def test_replayed_records_include_force_peaks():
     peaks = [17, 1234, 2500, 2998]
     force[peaks, [0, 1, 1, 0], [4, 2, 0, 0]] = 10.0
     data = xr.Dataset({"touch.normal_force": (("time", "env", "item"), force)})
-    scene = SimpleNamespace(contacts=[SimpleNamespace(name="touch")], shape_contacts=[])
+    scene = SimpleNamespace(contacts=[SimpleNamespace(name="touch")], shape_contacts=[], body_contacts=[])
     rows = replay._frames(data, scene, 256)
     assert {0, 2999, *peaks} <= set(rows)
     assert len(rows) <= 256

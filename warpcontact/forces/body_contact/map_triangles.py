@@ -124,9 +124,9 @@ def hide_layers(triangles: MapTriangles, half_spaces: NDArray[np.bool_]) -> MapT
     layered[keys[triangles.weight < 0.0]] = True
     parts = [triangles.select(~layered[keys])]
     order, starts = groups_of(keys)
-    for rows in np.split(order, starts[1:]):
-        if layered[keys[rows[0]]]:
-            own = triangles.select(rows)
+    for group in np.split(order, starts[1:]):
+        if layered[keys[group[0]]]:
+            own = triangles.select(group)
             parts.append(_visible(own, bool(half_spaces[own.pair[0]])))
     return parts[0].joined(*parts[1:])
 
@@ -159,7 +159,7 @@ def _visible(face: MapTriangles, half_space: bool) -> MapTriangles:
     cells = finished[0].joined(*finished[1:])
     above = _depths_above(cells.positions @ axes, cells.depths, corners, entries.depths)
     if not half_space:
-        return cells.select(~np.isfinite(above).any(axis=1))
+        return cells.select(np.isinf(above[:, 0]))
     # The deepest entry above each exit.
     deepest = np.where(np.isfinite(above[:, :1]), above, 0.0)
     return replace(cells, entries=np.clip(deepest, 0.0, cells.depths))

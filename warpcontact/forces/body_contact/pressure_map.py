@@ -184,7 +184,7 @@ def _triangles(body_contacts: "BodyContactSet", model: "DeviceModel", envs: int)
             raise ValueError(f"the areas of contact have too many triangles to draw: {total}")
         getattr(pairs, f"{kind}_start").assign((ends - counts).astype(np.int32))
         totals.append(total)
-    vertices, triangles = _storage(*totals, device)
+    vertices, triangles = _storage(totals[0], totals[1], device)
     launch()
     numbers = triangles.vertices.numpy()
     each = pairs.triangle_count.numpy().reshape(-1)
@@ -217,4 +217,4 @@ def _storage(vertex_count: int, triangle_count: int, device: wp.Device) -> tuple
 def _sums(env: NDArray[np.int32], pair: NDArray[np.int32], values: Array, shape: tuple[int, int]) -> Array:
     """Returns the sums of values of triangles, ``shape`` (env, pair)."""
     numbers = env.astype(np.int64) * shape[1] + pair
-    return np.bincount(numbers, values, minlength=shape[0] * shape[1]).reshape(shape)
+    return np.bincount(numbers, values, minlength=shape[0] * shape[1]).astype(np.float64).reshape(shape)
