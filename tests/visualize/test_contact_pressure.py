@@ -241,6 +241,16 @@ def test_usd_has_a_mesh_of_each_contact_over_time(recording, tmp_path):
                 assert len(mesh.GetDisplayColorAttr().Get(record)) == len(corners)
 
 
+def test_usd_without_pressure_has_no_meshes(recording, tmp_path):
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(wc.export_usd(recording, tmp_path / "a.usda", pressure=False)))
+    assert stage.GetPrimAtPath("/World/env_0/contacts/stack/force")
+    assert not stage.GetPrimAtPath("/World/env_0/contacts/stack/pressure")
+    with pytest.raises(ValueError, match="pressure must be True or False"):
+        wc.export_usd(recording, tmp_path / "b.usda", pressure="no")
+
+
 @pytest.mark.installed
 def test_live_view_shows_pressure_on_request():
     with viewing(simulation()) as show:

@@ -69,7 +69,14 @@ class ExperimentKernels:
             return
         # Cables and shapes are evaluated by kernels for export. Errors are ignored, as at the end of a run.
         with tempfile.TemporaryDirectory(dir=wp.config.kernel_cache_dir) as folder, contextlib.suppress(Exception):
-            export_usd(recording, Path(folder, "animation.usdc"), envs=range(1), ensemble=False, progress=False)
+            export_usd(
+                recording,
+                Path(folder, "animation.usdc"),
+                envs=range(1),
+                ensemble=False,
+                pressure=False,
+                progress=False,
+            )
 
 
 def build_bench(device: str, envs: int | None, threads: int | None, progress: Progress) -> None:

@@ -54,6 +54,12 @@ def add_to(commands: Any) -> None:
         "--color-by", metavar="NAME", help="outcome, parameter or sensor that colors the animation"
     )
     export.add_argument(
+        "--pressure",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="areas of body contacts, colored by pressure, in the animation (default: yes)",
+    )
+    export.add_argument(
         "--spacing",
         metavar=("X", "Y"),
         nargs=2,
@@ -101,7 +107,7 @@ def export_results(arguments: argparse.Namespace) -> None:
     from warpcontact.experiment.run import open_run
     from warpcontact.files.atomic_files import check_writable
 
-    for option in ("envs", "clips", "color_by", "spacing"):
+    for option in ("envs", "clips", "color_by", "pressure", "spacing"):
         if getattr(arguments, option) is not None and not arguments.usd:
             raise ValueError(f"--{option.replace('_', '-')} requires --usd; a table has all environments")
     file = arguments.csv or arguments.parquet or arguments.usd
@@ -153,6 +159,7 @@ def export_results(arguments: argparse.Namespace) -> None:
             scene=scene,
             clip_frames=arguments.clips,
             color_by=color_by,
+            pressure=arguments.pressure is not False,
             spacing=arguments.spacing or (0.0, 0.0),
         )
     print(file)

@@ -62,8 +62,14 @@ class Content:
     force_scale: float
 
     @classmethod
-    def of(cls, replay: Replay, coils: Mapping[str, Coil] | None = None) -> "Content":
-        """Collects the content; ``coils``: coil data of springs by name, needed if ``replay`` is part of the records."""
+    def of(cls, replay: Replay, coils: Mapping[str, Coil] | None = None, *, pressure: bool = True) -> "Content":
+        """Collects the content.
+
+        Args:
+            replay: Replay of the environments.
+            coils: Coil data of springs by name, needed if ``replay`` is part of the records.
+            pressure: Whether to show the pressure of body contacts.
+        """
         scene = replay.scene
         spheres = find_spheres(replay)
         placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
@@ -89,7 +95,7 @@ class Content:
             lines=lines,
             resultants=resultants,
             curves=[CouplingCurve(replay, one, (coils or {}).get(one.name)) for one in scene.couplings],
-            pressure=ContactPressure.of(replay),
+            pressure=ContactPressure.of(replay) if pressure else ContactPressure(replay, []),
             size=size,
             force_scale=length_scale([*lines, *resultants], size),
         )

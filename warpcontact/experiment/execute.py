@@ -447,5 +447,6 @@ def _write_views(run: Run, job: RunJob) -> None:
 
             # Only the first environments: an export of all could take longer than the run.
             animation = (files / files_of.ANIMATION).path
-            export_usd(recording, animation, envs=range(usd_envs), ensemble=False, progress=False)
+            # Pressures take most of the space, and kernels are compiled for them.
+            export_usd(recording, animation, envs=range(usd_envs), ensemble=False, pressure=False, progress=False)
         write_picture(files / files_of.PICTURE, recording, settings.name, list(job.design.names), run.health)

@@ -220,7 +220,7 @@ class Clips:
         return block[0], min(block[1] + 1, len(self.export.replay.codes))
 
     def _content(self, records: Range, coils: dict[str, Coil] | None) -> Content:
-        return Content.of(self.export.replay.part(*records), coils)
+        return Content.of(self.export.replay.part(*records), coils, pressure=self.export.pressure)
 
     def _input(self, content: Content, records: Range) -> str:
         """Returns the SHA-256 of all values shown in a clip."""

@@ -54,6 +54,7 @@ class Export:
         replay: Environments with full physics.
         ensemble: All environments shown as instances; ``None`` if there are none.
         coloring: Coloring of the instances; ``None``: colors of the bodies.
+        pressure: Whether to show the areas of body contacts colored by pressure.
     """
 
     def __init__(
@@ -65,11 +66,13 @@ class Export:
         force_scale: float | None,
         ensemble: bool | str,
         color_by: str | xr.DataArray | None,
+        pressure: bool,
     ) -> None:
         self.spacing = checks.numbers("spacing", spacing, (2,), limits("m", at_least=0.0))
         if force_scale is not None:
             force_scale = float(checks.numbers("force_scale", force_scale, (), limits("m/N", above=0.0)))
         self.force_scale = force_scale
+        self.pressure = checks.switch("pressure", pressure)
         if not (isinstance(ensemble, bool) or ensemble == "auto"):
             raise ValueError(f"ensemble must be True, False or 'auto', got {ensemble!r}")
         if ensemble is True and self.spacing.any():
@@ -257,6 +260,7 @@ def export_usd(
     force_scale: float | None = None,
     ensemble: bool | str = "auto",
     color_by: str | xr.DataArray | None = None,
+    pressure: bool = True,
     clip_frames: int | None = None,
     progress: bool | None = None,
 ) -> Path:
@@ -280,6 +284,8 @@ def export_usd(
         color_by: Quantity that colors the ensemble, from low to high in viridis: the name of a parameter or sensor
             of the recording with one number per environment, or one equal for all items of a set; or values with
             the coordinate ``env``, such as an outcome, or with ``time`` and ``env``. ``None``: colors of the bodies.
+        pressure: Whether to show the areas of body contacts as meshes colored by pressure, from 0 to the largest one of
+            all records.
         clip_frames: Number of records per value clip, for long recordings. The file then refers to the folder
             ``<file name>.clips`` next to it, with one file per clip. Clips are written one by one, with one clip in
             memory, and an interrupted export resumes after the complete ones. ``None``: one file.
@@ -298,7 +304,7 @@ def export_usd(
 
     path = check_path(path)
     frames = None if clip_frames is None else check_frames(clip_frames, path)
-    options = (envs, scene, spacing, force_scale, ensemble, color_by)
+    options = (envs, scene, spacing, force_scale, ensemble, color_by, pressure)
     export = Export(recording, *options)
     replay = export.replay
     bar = tqdm(
@@ -323,7 +329,7 @@ def _write(export: Export, path: Path, report_progress: ProgressCallback) -> Non
     from pxr import Usd
 
     stage = Usd.Stage.CreateInMemory()
-    content, records = Content.of(export.replay), (0, len(export.replay.codes))
+    content, records = Content.of(export.replay, pressure=export.pressure), (0, len(export.replay.codes))
     ranges = export.ranges([(records, content)])
     export.define(stage, content, ranges)
     export.animate(stage, content, Samples(export.replay.codes, stage.GetRootLayer()), records, report_progress)

@@ -12,7 +12,7 @@ from warpcontact.drawing.reduction import evenly
 from warpcontact.visualize.report.packing import Pack
 
 # Largest number of triangles of an environment over all records; with more, some records show the area of an earlier one.
-TRIANGLES = 150_000
+TRIANGLES = 40_000
 
 
 class PressureData:
