@@ -1,4 +1,4 @@
-"""Draws the figures of body contact: ``docs/images/body_contact_columns.svg``, ``…_weight.svg`` and ``…_edge.svg``.
+"""Draws the figures of body contact, ``docs/images/body_contact_*``.
 
 python docs/body_contact_figures.py
 """
@@ -11,6 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
+
+import warpcontact as wc
 
 IMAGES = Path(__file__).resolve().parent / "images"
 FIRST, SECOND, FORCE = "#4c78a8", "#c9ced6", "#c0392b"
@@ -105,8 +108,38 @@ FIGURES: dict[str, tuple[Callable[[Figure], None], tuple[float, float]]] = {
 }
 
 
+def pressure(path: Path) -> None:
+    """Draws bodies at rest: the areas between them are colored by pressure."""
+    scene = wc.Scene()
+    floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
+    material = wc.ContactMaterial(
+        law=wc.laws.ElasticFoundation(stiffness=2e6, damping=20.0),
+        friction=wc.friction.CundallStrack(mu_static=0.6, mu_dynamic=0.6, stiffness=2e4, damping=80.0),
+    )
+    box = wc.shapes.RoundedBox((0.05, 0.05, 0.05))
+    bodies = (
+        ("low", box, (0.0, 0.0, 0.0485), (0.0, 0.0, 0.0)),
+        ("high", box, (0.03, 0.01, 0.1475), (0.0, 0.0, 25.0)),
+        ("pushed", box, (-0.2, 0.0, 0.0495), (0.0, 0.0, 0.0)),
+        ("lying", wc.shapes.Cylinder(0.04, 0.06), (0.2, -0.03, 0.0385), (90.0, 0.0, 50.0)),
+        ("ball", wc.shapes.Sphere(0.045), (0.14, 0.17, 0.042), (0.0, 0.0, 0.0)),
+    )
+    solids = {"floor": floor}
+    for name, kind, position, angles in bodies:
+        turned = Rotation.from_euler("xyz", angles, degrees=True).as_quat()
+        body = scene.add_body(mass=1.0, inertia=(1e-3,) * 3, position=position, orientation=turned, name=name)
+        solids[name] = scene.add_shape(body, kind, name=f"{name}_shape")
+        below = solids["low" if name == "high" else "floor"]
+        scene.add_body_contact(solids[name], below, material, name=f"{name}_contact")
+    model = scene.build(envs=1, device="cpu", precision="float64")
+    model["pushed.external_torque"] = (0.0, 0.25, 0.0)
+    recording = wc.Simulation(model, dt=2e-4).run(1.5, every=0.5)
+    wc.render(recording, path, size=(900, 480), samples=64, view_from=(-60, 22))
+
+
 def main() -> None:
-    """Writes the figures as SVG files."""
+    """Writes the figures as SVG files, and the picture of pressures."""
+    pressure(IMAGES / "body_contact_pressure.png")
     mpl.rcParams["svg.hashsalt"] = "body_contact"
     mpl.rcParams["svg.fonttype"] = "none"
     for name, (draw, size) in FIGURES.items():
