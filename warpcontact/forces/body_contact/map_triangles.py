@@ -10,7 +10,7 @@ from warpcontact.validation.checks import Array
 
 # Largest difference of depths within a triangle, relative to the largest depth of its pair.
 DEPTH_STEP = 1.0 / 6.0
-# Largest edge of a triangle of a face with several layers, relative to the extent of the face.
+# Largest edge of a triangle next to a place where columns enter, relative to the extent of the area of contact.
 CELL = 1.0 / 24.0
 # Tests of points against triangles in one block.
 _BLOCK = 4_000_000
@@ -46,6 +46,11 @@ class MapTriangles:
 
     def __len__(self) -> int:
         return len(self.env)
+
+    @property
+    def pair_keys(self) -> NDArray[np.int64]:
+        """Numbers that are equal for triangles of the same pair in the same environment."""
+        return self.env.astype(np.int64) * (int(self.pair.max(initial=0)) + 1) + self.pair
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
         """Returns some of the triangles."""
@@ -90,8 +95,7 @@ def refine(triangles: MapTriangles) -> MapTriangles:
     """Returns triangles in which depths vary by little of the largest depth of their pair."""
     if not len(triangles):
         return triangles
-    keys = triangles.env.astype(np.int64) * (int(triangles.pair.max()) + 1) + triangles.pair
-    order, starts = groups_of(keys)
+    order, starts = groups_of(triangles.pair_keys)
     largest = np.maximum.reduceat(triangles.depths.max(axis=1)[order], starts)
     limits = np.empty(len(triangles))
     limits[order] = DEPTH_STEP * np.repeat(largest, np.diff([*starts, len(order)]))
@@ -123,16 +127,30 @@ def hide_layers(triangles: MapTriangles, half_spaces: NDArray[np.bool_]) -> MapT
     layered = np.zeros(keys.max() + 1, dtype=bool)
     layered[keys[triangles.weight < 0.0]] = True
     parts = [triangles.select(~layered[keys])]
+    extents = _extents(triangles)
     order, starts = groups_of(keys)
     for group in np.split(order, starts[1:]):
         if layered[keys[group[0]]]:
             own = triangles.select(group)
-            parts.append(_visible(own, bool(half_spaces[own.pair[0]])))
+            parts.append(_visible(own, bool(half_spaces[own.pair[0]]), CELL * extents[group[0]]))
     return parts[0].joined(*parts[1:])
 
 
-def _visible(face: MapTriangles, half_space: bool) -> MapTriangles:
-    """Returns the visible part of the triangles of one face."""
+def _extents(triangles: MapTriangles) -> Array:
+    """Returns the extent of the area of contact of each pair, [triangle] [m]."""
+    order, starts = groups_of(triangles.pair_keys)
+    positions = triangles.positions[order]
+    lower, upper = (
+        ends.reduceat(values(positions, axis=1), starts)
+        for ends, values in ((np.minimum, np.min), (np.maximum, np.max))
+    )
+    extents = np.empty(len(triangles))
+    extents[order] = np.repeat((upper - lower).max(axis=1), np.diff([*starts, len(order)]))
+    return extents
+
+
+def _visible(face: MapTriangles, half_space: bool, largest: float) -> MapTriangles:
+    """Returns the visible part of the triangles of one face, divided into triangles with edges up to ``largest`` [m]."""
     cells = face.select(face.weight > 0.0)
     if not len(cells):
         return cells
@@ -144,7 +162,6 @@ def _visible(face: MapTriangles, half_space: bool) -> MapTriangles:
     entries = face.select(face.weight < 0.0)
     corners = entries.positions @ axes
     lower, upper = corners.min(axis=1), corners.max(axis=1)
-    largest = CELL * float(np.ptp(face.positions.reshape(-1, 3), axis=0).max())
     finished = []
     while len(cells):
         lengths = np.linalg.norm(cells.edges(cells.positions), axis=-1)
