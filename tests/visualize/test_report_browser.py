@@ -115,6 +115,34 @@ def test_replayed_force_arrows_are_visible_and_can_be_hidden(crate, file, opened
         assert page.evaluate("getComputedStyle(document.getElementById('replay-legend')).display") == "none"
 
 
+def test_replayed_areas_of_body_contact_are_visible_and_can_be_hidden(opened, tmp_path):
+    box = {"type": "RoundedBox", "half_extents": [0.05, 0.05, 0.05]}
+    settings = {
+        "name": "box",
+        "envs": 1,
+        "duration": 0.05,
+        "dt": 5e-4,
+        "output": {"usd_envs": 0},
+        # It falls onto the floor in 45 ms.
+        "body": [{"name": "box", "mass": 1.0, "inertia": [2e-3] * 3, "position": [0, 0, 0.06]}],
+        "shape": [{"name": "floor", "form": {"type": "Plane"}}, {"name": "cube", "body": "box", "form": box}],
+        "material": [{"name": "rubber", "law": {"type": "ElasticFoundation", "stiffness": 2e6}}],
+        "body_contact": [{"name": "touch", "first": "box", "second": "floor", "material": "rubber"}],
+        "record": {"every": 5e-3, "sensors": ["touch.normal_force"]},
+    }
+    run = wc.Experiment.from_dict(settings).run(tmp_path / "run", device="cpu", progress=False)
+    with opened(wc.report(run)) as page:
+        set_time(page, 0.0)
+        assert state(page)["patches"] == 0
+        set_time(page, 0.05)
+        assert state(page)["patches"] == 2
+        with_area = page.screenshot()
+        page.click("document.getElementById('replay-pressure')")
+        assert state(page)["patches"] == 0
+        assert page.screenshot() != with_area
+        assert page.evaluate("document.getElementById('legend-pressure').hidden")
+
+
 @pytest.mark.smoke
 def test_replay_plays_to_the_end_and_stops(file, opened):
     with opened(file) as page:
