@@ -77,9 +77,12 @@ from warpcontact.kernels.types import structs
 vec3d = wp.vec3d
 double = wp.float64
 
-#: Lines that divide a panel into strips, and cells of a strip.
-LINES = 17
+#: Smallest number of strips and cells; largest number of strips of a panel, and of cells of a strip.
+FEWEST = 6
+STRIPS = 16
 CELLS = 12
+# Parts of the area of contact along each direction; faces that are small against it have fewer cells.
+PARTS = wp.constant(double(24.0))
 # Distance from the ends of a panel, relative to its length, of the first and last line: at the end, there may be no points.
 INSIDE = wp.constant(double(1.0e-9))
 PI = wp.constant(double(3.14159265358979323846))
@@ -98,6 +101,7 @@ class MappedRegion:
     normal: vec3d  # of the face
     kind: wp.int32  # ON_FACE, ON_CURVED_SURFACE or that of a flat end
     half_space: wp.bool
+    extent: double  # estimate of the size of the area of contact [m]
     sign: double  # of the normals of faces, so that they point out of the second solid
 
 
@@ -116,6 +120,15 @@ class MappedColumn:
 def spaced(part: double):
     """Returns evenly spaced numbers from 0 to 1 closer to both ends, where the depth of columns may be steep."""
     return double(0.5) - double(0.5) * wp.cos(PI * part)
+
+
+@wp.func
+def part_count_of(length: double, extent: double, most: int):
+    """Returns the number of parts of a length in an area of contact of this extent [m].
+
+    It is even, because depths may have a peak in the middle.
+    """
+    return 2 * wp.clamp(wp.int32(wp.ceil(double(0.5) * PARTS * length / extent)), FEWEST // 2, most // 2)
 
 
 @wp.func
@@ -169,8 +182,9 @@ def add_cells(
 
     ``grid`` has the lines as rows (u, smallest v, largest v).
     """
-    # Not constants, so that the loops are not unrolled.
-    cells = wp.int32(CELLS)
+    width = wp.max(grid[0, 2] - grid[0, 1], grid[1, 2] - grid[1, 1]) * wp.length(mapped.section.v_axis)
+    cells = part_count_of(width, mapped.extent, CELLS)
+    # Not a constant, so that the loop is not unrolled.
     corner_count = wp.int32(4)
     for cell in range(cells):
         at_middle = spaced((double(cell) + double(0.5)) / double(cells))
@@ -246,8 +260,6 @@ def section_maps(real: type) -> wp.Kernel:
         is_first = (first.flags & CURVED) != 0  # whether the first solid is the curved one
         if setting.enabled == 0 or is_first == ((second.flags & CURVED) != 0):
             return
-        # Not a constant, so that the loop is not unrolled.
-        line_count = wp.int32(LINES)
         pose = pair_pose(state, env, solids, solid_1, solid_2)
         mapped = MappedRegion()
         mapped.curved = first
@@ -276,6 +288,9 @@ def section_maps(real: type) -> wp.Kernel:
             return
         map_pairs.depth[env, number] = overlap.depth
         map_pairs.share[env, number] = wp.where(is_first, overlap.share, double(1.0) - overlap.share)
+        # A sphere of radius R has an area of the radius √(2 R D).
+        size = wp.length(mapped.curved.half_extents)
+        mapped.extent = double(2.0) * wp.min(wp.sqrt(double(2.0) * size * overlap.depth), size)
         first_vertex = map_pairs.vertex_start[env, number]
         first_triangle = map_pairs.triangle_start[env, number]
         counts = MapCounts()
@@ -335,10 +350,14 @@ def section_maps(real: type) -> wp.Kernel:
                             if is_narrow(breaks, panel):
                                 continue
                             is_open = wp.bool(False)
-                            for line in range(line_count):
-                                part = spaced(double(line) / double(line_count - 1))
+                            length = breaks[panel + 1, 0] - breaks[panel, 0]
+                            strips = part_count_of(
+                                length * wp.length(mapped.section.u_axis), mapped.extent, STRIPS
+                            )
+                            for line in range(strips + 1):
+                                part = spaced(double(line) / double(strips))
                                 part = wp.clamp(part, INSIDE, double(1.0) - INSIDE)
-                                u = breaks[panel, 0] + part * (breaks[panel + 1, 0] - breaks[panel, 0])
+                                u = breaks[panel, 0] + part * length
                                 limit_count = find_limits(
                                     limits, mapped.section, mapped.region, u, corners, polygon
                                 )

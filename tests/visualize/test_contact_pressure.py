@@ -105,6 +105,33 @@ def test_pressure_without_recorded_forces_follows_from_poses_and_velocities():
     assert forces(ground[0]) == pytest.approx(K * SIDE**2 * float(exact["ground.depth"][0, 0]), rel=1e-9)
 
 
+def test_pairs_of_a_float32_scene_with_a_joint_and_a_set_of_bodies_have_the_recorded_forces():
+    scene = wc.Scene()
+    cube = wc.shapes.RoundedBox((SIDE / 2,) * 3)
+    solids = [scene.add_shape(None, wc.shapes.Plane(), name="floor")]
+    scene.add_bodies([(5, 0, 9), (6, 0, 9), (7, 0, 9)], mass=1.0, inertia=(1.0,) * 3, name="others")
+    for i, motion in enumerate((None, wc.motions.Slider(axis=(0, 0, 1)))):
+        height = (i + 0.5) * SIDE - (2 - i) * DEPTH - i * 2 * DEPTH
+        options = {} if motion is None else {"motion": motion}
+        body = scene.add_body(
+            mass=MASS, inertia=(1e-3,) * 3, position=(0.02 * i, 0, height), name=f"body_{i}", **options
+        )
+        solids.append(scene.add_shape(body, cube, name=f"cube_{i}"))
+    material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=K))
+    scene.add_body_contact(solids, material, name="bin")
+    wp.config.log_level = wp.LOG_ERROR
+    sim = wc.Simulation(scene.build(envs=1, device="cpu"), dt=1e-4)
+    recording = sim.run(0.002, record=["bin.normal_force"], every=1e-3)
+    assert recording["bin.normal_force"].shape == (3, 1, 3)
+    (patches,) = drawing_of(recording).pressure.at(2, 0)
+    assert patches.name == "bin"
+    np.testing.assert_allclose(forces(patches), recording["bin.normal_force"][2, 0].sum(), rtol=1e-3)
+    # One area below each cube.
+    lower = patches.positions[..., 2].mean(axis=1) < SIDE / 2
+    below = PressurePatches("below", patches.positions[lower], patches.normals[lower], patches.pressures[lower])
+    assert forces(below) == pytest.approx(float(recording["bin.normal_force"][2, 0].max()), rel=1e-3)
+
+
 def test_changed_parameters_of_the_law_are_those_of_the_pictures():
     sim = simulation()
     sim.model["ground.law.stiffness"] = 3 * K  # in all environments

@@ -1,4 +1,7 @@
-"""Pressure maps of body contacts: their area and the integral of their pressure are the sensors of the contact."""
+"""Pressure maps of body contacts: their area and the integral of their pressure are the sensors of the contact.
+
+Pictures compute them on a CPU.
+"""
 
 import numpy as np
 import pytest
@@ -17,7 +20,7 @@ U_OUTLINE = [(-5, -3), (-3, -3), (-3, 3), (3, 3), (3, -3), (5, -3), (5, 5), (-5,
 U_TRIANGLES = [(0, 1, 2), (0, 2, 7), (2, 6, 7), (2, 3, 6), (3, 4, 5), (3, 5, 6)]
 
 
-def built(upper, lower, envs, device, law=None, **options):
+def built(upper, lower, envs, law=None, **options):
     """Returns a model of a solid on ``body`` in contact with a solid on the world."""
     scene = wc.Scene()
     body = scene.add_body(mass=1.0, inertia=(1e-3,) * 3, name="body")
@@ -29,7 +32,7 @@ def built(upper, lower, envs, device, law=None, **options):
     ]
     law = law or wc.laws.ElasticFoundation(stiffness=K)
     scene.add_body_contact(*solids, wc.ContactMaterial(law=law), name="press", **options)
-    return scene.build(envs=envs, device=device, precision="float64")
+    return scene.build(envs=envs, device="cpu", precision="float64")
 
 
 def mapped(model):
@@ -54,9 +57,9 @@ def assert_sums_are_sensors(model, tolerance):
 
 
 @pytest.fixture(scope="module")
-def on_plane(device):
+def on_plane():
     """A cube on a plane: flat, tilted, on an edge, and above it."""
-    model = built(cube(), wc.shapes.Plane(), 4, device)
+    model = built(cube(), wc.shapes.Plane(), 4)
     edge = SIDE / np.sqrt(2) - DEPTH
     model["body.position"] = [(0, 0, SIDE / 2 - DEPTH), (0, 0, SIDE / 2 - DEPTH), (0.3, 0, edge), (0, 0, 1)]
     model["body.orientation"] = about_y([0, TILT, np.pi / 4, 0])
@@ -103,8 +106,8 @@ def test_open_contact_has_no_triangles(on_plane):
     assert area[3] == 0.0
 
 
-def test_common_area_of_turned_cubes_is_drawn_once(device):
-    model = built(cube(), cube(), 3, device)
+def test_common_area_of_turned_cubes_is_drawn_once():
+    model = built(cube(), cube(), 3)
     model["body.position"] = [(0.02, 0.01, SIDE - DEPTH), (0, 0, SIDE - DEPTH), (0.01, 0, SIDE - DEPTH)]
     turned = Rotation.from_euler("z", [[0], [45], [0]], degrees=True).as_quat()
     turned[2] = about_y([1e-3])[0]
@@ -120,9 +123,9 @@ def test_common_area_of_turned_cubes_is_drawn_once(device):
     np.testing.assert_allclose(area, model.sensor("press.area"), rtol=1e-4)
 
 
-def test_force_of_a_law_per_contact_is_distributed_over_the_area(device):
+def test_force_of_a_law_per_contact_is_distributed_over_the_area():
     law = wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, damping=1.0)
-    model = built(cube(), wc.shapes.Plane(), 2, device, law=law)
+    model = built(cube(), wc.shapes.Plane(), 2, law=law)
     model["body.position"] = [(0, 0, SIDE / 2 - DEPTH)] * 2
     model["press.force_scale"] = [1.0, 0.5]
     found, _, force = mapped(model)
@@ -130,8 +133,8 @@ def test_force_of_a_law_per_contact_is_distributed_over_the_area(device):
     np.testing.assert_allclose(found.pressures[found.env == 0], force[0] / SIDE**2, rtol=1e-9)
 
 
-def test_pressure_includes_the_damping_of_the_present_speed(device):
-    model = built(cube(), wc.shapes.Plane(), 2, device, law=wc.laws.ElasticFoundation(stiffness=K, damping=2.0))
+def test_pressure_includes_the_damping_of_the_present_speed():
+    model = built(cube(), wc.shapes.Plane(), 2, law=wc.laws.ElasticFoundation(stiffness=K, damping=2.0))
     model["body.position"] = [(0, 0, SIDE / 2 - DEPTH)] * 2
     model["body.linear_velocity"] = [(0, 0, -0.1), (0, 0, 0.1)]
     found, _, _ = mapped(model)
@@ -140,8 +143,8 @@ def test_pressure_includes_the_damping_of_the_present_speed(device):
     assert_sums_are_sensors(model, 1e-9)
 
 
-def test_disabled_and_too_deep_contacts_have_no_triangles(device):
-    model = built(cube(), wc.shapes.Plane(), 3, device)
+def test_disabled_and_too_deep_contacts_have_no_triangles():
+    model = built(cube(), wc.shapes.Plane(), 3)
     model["body.position"] = [(0, 0, SIDE / 2 - DEPTH)] * 3
     model["press.enabled"] = [1, 0, 1]
     model["press.max_depth"] = [1.0, 1.0, DEPTH / 2]
@@ -149,8 +152,8 @@ def test_disabled_and_too_deep_contacts_have_no_triangles(device):
     assert set(found.env) == {0}
 
 
-def test_sphere_in_a_plane_has_the_pressure_of_its_shape(device):
-    model = built(wc.shapes.Sphere(RADIUS), wc.shapes.Plane(), 2, device)
+def test_sphere_in_a_plane_has_the_pressure_of_its_shape():
+    model = built(wc.shapes.Sphere(RADIUS), wc.shapes.Plane(), 2)
     model["body.position"] = [(0.1, 0, RADIUS - DEPTH), (0.1, 0, -0.02)]
     found, area, force = mapped(model)
     own = found.env == 0
@@ -165,8 +168,8 @@ def test_sphere_in_a_plane_has_the_pressure_of_its_shape(device):
 
 @pytest.mark.parametrize("upper", [wc.shapes.Cylinder(RADIUS, RADIUS), wc.shapes.Capsule(RADIUS, RADIUS)])
 @pytest.mark.parametrize("lower", [wc.shapes.Plane(), wc.shapes.RoundedBox((0.2, 0.2, 0.1))])
-def test_lying_shapes_have_the_area_and_force_of_the_sensors(upper, lower, device):
-    model = built(upper, lower, 2, device)
+def test_lying_shapes_have_the_area_and_force_of_the_sensors(upper, lower):
+    model = built(upper, lower, 2)
     top = 0.1 if isinstance(lower, wc.shapes.RoundedBox) else 0.0
     model["body.position"] = [(0, 0, top + RADIUS - DEPTH), (0.18, 0.02, top + RADIUS - DEPTH)]
     model["body.orientation"] = about_y([np.pi / 2, np.pi / 2])
@@ -175,8 +178,8 @@ def test_lying_shapes_have_the_area_and_force_of_the_sensors(upper, lower, devic
     np.testing.assert_allclose(force, model.sensor("press.normal_force"), rtol=0.03)
 
 
-def test_edge_on_a_cylinder_is_drawn_on_the_cylinder(device):
-    model = built(cube(), wc.shapes.Cylinder(RADIUS, 2 * RADIUS), 1, device)
+def test_edge_on_a_cylinder_is_drawn_on_the_cylinder():
+    model = built(cube(), wc.shapes.Cylinder(RADIUS, 2 * RADIUS), 1)
     model["lower.orientation"] = Rotation.from_euler("x", 90, degrees=True).as_quat()
     model["body.position"] = (0, 0, RADIUS + SIDE / np.sqrt(2) - DEPTH)
     model["body.orientation"] = about_y([np.pi / 4])
@@ -186,8 +189,8 @@ def test_edge_on_a_cylinder_is_drawn_on_the_cylinder(device):
     np.testing.assert_allclose(force, model.sensor("press.normal_force"), rtol=0.01)
 
 
-def test_spheres_have_a_common_disc(device):
-    model = built(wc.shapes.Sphere(RADIUS), wc.shapes.Sphere(RADIUS), 1, device)
+def test_spheres_have_a_common_disc():
+    model = built(wc.shapes.Sphere(RADIUS), wc.shapes.Sphere(RADIUS), 1)
     model["body.position"] = (0, 0, 2 * RADIUS - DEPTH)
     found, area, force = mapped(model)
     np.testing.assert_allclose(found.positions[..., 2], RADIUS - DEPTH / 2, atol=1e-9)
@@ -196,9 +199,9 @@ def test_spheres_have_a_common_disc(device):
     np.testing.assert_allclose(force, model.sensor("press.normal_force"), rtol=0.02)
 
 
-def test_map_of_a_solid_that_is_not_convex_ends_at_the_first_exit(device):
+def test_map_of_a_solid_that_is_not_convex_ends_at_the_first_exit():
     mesh = prism(0.01 * np.array(U_OUTLINE), U_TRIANGLES, 0.1)
-    model = built(mesh, cube(), 2, device)
+    model = built(mesh, cube(), 2)
     upright = Rotation.from_euler("x", 90, degrees=True)
     model["body.position"] = [(0.02, 0.01, SIDE / 2 + 0.03 - DEPTH)] * 2
     model["body.orientation"] = (Rotation.from_quat(about_y([0, TILT / 10])) * upright).as_quat()
@@ -209,9 +212,9 @@ def test_map_of_a_solid_that_is_not_convex_ends_at_the_first_exit(device):
     assert found.pressures[found.env == 0].max() == pytest.approx(K * DEPTH, rel=1e-9)
 
 
-def test_sunk_plate_has_the_pressure_of_its_thickness(device):
+def test_sunk_plate_has_the_pressure_of_its_thickness():
     thickness = 2 * DEPTH
-    model = built(wc.shapes.RoundedBox((0.05, 0.05, thickness / 2)), wc.shapes.Plane(), 1, device)
+    model = built(wc.shapes.RoundedBox((0.05, 0.05, thickness / 2)), wc.shapes.Plane(), 1)
     model["body.position"] = (0, 0, -3 * thickness)
     found, area, force = mapped(model)
     np.testing.assert_allclose(found.pressures, K * thickness, rtol=1e-9)
