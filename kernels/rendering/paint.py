@@ -26,7 +26,7 @@ MAX_DISTANCE = wp.constant(1.0e6)
 RAY_OFFSET = wp.constant(1.0e-4)
 ROUNDING = wp.constant(4.0e-6)
 # Opacity of unlit marks behind surfaces.
-UNLIT_OPACITY = wp.constant(0.8)
+UNLIT_OPACITY = wp.constant(0.9)
 
 
 @wp.struct
