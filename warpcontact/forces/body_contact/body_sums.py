@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpcontact.algebra.vectors import transform_points
 from warpcontact.forces.body_contact.step_warnings import STABLE_STEPS, PairEstimates, is_movable
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from warpcontact.model.environments import Environments
 
 #: Largest number of pairs in all environments that are checked, the first ones.
-MOST_PAIRS = 20_000
+MOST_PAIRS = 5000
 #: Smallest number of steps in half a period of a body on all of its contacts: the period is then accurate to 0.4 %.
 MIN_STEPS = 10.0
 # Distance of bounding boxes in contact, relative to the size of the smaller one.
@@ -99,14 +100,11 @@ def _near_contacts(
 ) -> _NearContacts:
     pairs = [pair for one in estimates for pair in one.contact.pairs]
     envs = min(model.envs, max(1, MOST_PAIRS // len(pairs)))
-    boxes = {
-        solid: _WorldBox.of(model, tables, solid, envs) for solid in dict.fromkeys(s for p in pairs for s in p)
-    }
-    near, place, normal, area = (
-        np.stack(values, axis=1)
-        for values in zip(*(_touch(boxes[first], boxes[second]) for first, second in pairs), strict=True)
-    )
-    shape = near.shape
+    solids = list(dict.fromkeys(solid for pair in pairs for solid in pair))
+    numbers = {solid: number for number, solid in enumerate(solids)}
+    boxes = _WorldBoxes.of(model, tables, solids, envs)
+    first_number, second_number = (np.array([numbers[pair[k]] for pair in pairs]) for k in (0, 1))
+    near, place, normal, area = _touch(boxes, first_number, second_number)
     # The tangents follow from the axis that is most across the normal.
     helper = np.eye(3)[np.argmin(np.abs(normal), axis=2)]
     tangent = np.cross(normal, helper)
@@ -128,7 +126,7 @@ def _near_contacts(
     return _NearContacts(
         [one.contact.name for one in estimates for _ in one.contact.pairs],
         [(first.body, second.body) for first, second in pairs],
-        near.astype(np.float64).reshape(shape),
+        near.astype(np.float64),
         place,
         np.stack([normal, tangent, np.cross(normal, tangent)], axis=2),
         joined["stiffness"],
@@ -139,13 +137,13 @@ def _near_contacts(
 
 
 @dataclass(frozen=True)
-class _WorldBox:
-    """Bounding box of a solid in the world.
+class _WorldBoxes:
+    """Bounding boxes of solids in the world.
 
     Attributes:
-        center: Its center, (envs, 3) [m]; for a half-space, a point of its surface.
-        axes: Its axes as rows, (envs, 3, 3).
-        half: Half of its size along its axes, (envs, 3) [m]; infinite for a half-space.
+        center: Their centers, (envs, solids, 3) [m]; for a half-space, a point of its surface.
+        axes: Their axes as rows, (envs, solids, 3, 3).
+        half: Half of their size along their axes, (envs, solids, 3) [m]; infinite for a half-space.
     """
 
     center: Array
@@ -153,43 +151,50 @@ class _WorldBox:
     half: Array
 
     @classmethod
-    def of(cls, model: "Environments", tables: "SolidTables", solid: Solid, envs: int) -> "_WorldBox":
-        center, half = (values[:envs] for values in tables.bounding_box(model, solid))
-        axes = np.broadcast_to(np.eye(3), (envs, 3, 3))
-        poses = [(model[f"{solid.name}.position"], model[f"{solid.name}.orientation"])]
-        if solid.body is not None:
-            name = solid.body.name
-            poses.append((model.sensor(f"{name}.position"), model.sensor(f"{name}.orientation")))
-        for position, orientation in poses:
-            turn = np.asarray(orientation, dtype=np.float64)[:envs]
-            zero = np.zeros((envs, 3))
-            axes = transform_points(axes, zero, turn)
-            center = transform_points(center[:, None], zero, turn)[:, 0] + np.asarray(position)[:envs]
-        return cls(center, axes, half)
-
-    @property
-    def extents(self) -> Array:
-        """Half of the size along the axes of the world, (envs, 3) [m]."""
-        return np.asarray((np.abs(self.axes) * self.half[:, :, None]).sum(axis=1))
+    def of(cls, model: "Environments", tables: "SolidTables", solids: Sequence[Solid], envs: int) -> "_WorldBoxes":
+        zero, columns = np.zeros((envs, 3)), []
+        for solid in solids:
+            center, half = (values[:envs] for values in tables.bounding_box(model, solid))
+            axes = np.broadcast_to(np.eye(3), (envs, 3, 3))
+            poses = [(model[f"{solid.name}.position"], model[f"{solid.name}.orientation"])]
+            if solid.body is not None:
+                name = solid.body.name
+                poses.append((model.sensor(f"{name}.position"), model.sensor(f"{name}.orientation")))
+            for position, orientation in poses:
+                turn = np.asarray(orientation, dtype=np.float64)[:envs]
+                axes = transform_points(axes, zero, turn)
+                center = transform_points(center[:, None], zero, turn)[:, 0] + np.asarray(position)[:envs]
+            columns.append((center, axes, half))
+        return cls(*(np.stack(values, axis=1) for values in zip(*columns, strict=True)))
 
 
-def _touch(first: _WorldBox, second: _WorldBox) -> tuple[Array, Array, Array, Array]:
-    """Returns whether two solids are near (envs,), point of contact and normal (envs, 3), and area (envs,) [m²]."""
-    sides = np.sort(first.half, axis=1)
-    if np.isinf(second.half).all():
-        normal = second.axes[:, 2]
-        support = (np.abs(np.einsum("eki,ei->ek", first.axes, normal)) * first.half).sum(axis=1)
-        gap = ((first.center - second.center) * normal).sum(axis=1) - support
-        place = first.center - support[:, None] * normal
-        return gap < _NEAR * 2.0 * sides[:, 2], place, normal, 4.0 * sides[:, 1] * sides[:, 2]
-    size = 2.0 * np.minimum(sides[:, 2], second.half.max(axis=1))
-    lower = np.maximum(first.center - first.extents, second.center - second.extents)
-    upper = np.minimum(first.center + first.extents, second.center + second.extents)
+def _touch(
+    boxes: _WorldBoxes, first: NDArray[np.int_], second: NDArray[np.int_]
+) -> tuple[Array, Array, Array, Array]:
+    """Returns whether solids are near, points of contact, normals and areas, (envs, pairs, …) [m, m²].
+
+    ``first`` and ``second`` are the numbers of the solids of each pair.
+    """
+    sides = np.sort(boxes.half, axis=2)
+    size = 2.0 * np.minimum(sides[:, first, 2], sides[:, second, 2])
+    half_space = np.isinf(sides[:, second, 0])
+    extents = (np.abs(boxes.axes) * np.where(np.isinf(boxes.half), 0.0, boxes.half)[..., None]).sum(axis=2)
+    low, high = boxes.center - extents, boxes.center + extents
+    lower, upper = np.maximum(low[:, first], low[:, second]), np.minimum(high[:, first], high[:, second])
     overlap = upper - lower
-    axis = np.argmin(overlap, axis=1)
-    across = np.sort(np.maximum(overlap, 0.0), axis=1)
-    near = overlap.min(axis=1) > -_NEAR * size
-    return near, 0.5 * (lower + upper), np.eye(3)[axis], across[:, 1] * across[:, 2]
+    across = np.sort(np.maximum(overlap, 0.0), axis=2)
+    # Half-spaces: the lowest point, and the largest side.
+    plane_normal = boxes.axes[:, second, 2]
+    along = np.abs(np.einsum("epki,epi->epk", boxes.axes[:, first], plane_normal))
+    support = (along * boxes.half[:, first]).sum(axis=2)
+    height = ((boxes.center[:, first] - boxes.center[:, second]) * plane_normal).sum(axis=2)
+    gap = np.where(half_space, height - support, -overlap.min(axis=2))
+    lowest = boxes.center[:, first] - support[..., None] * plane_normal
+    place = np.where(half_space[..., None], lowest, 0.5 * (lower + upper))
+    normal = np.where(half_space[..., None], plane_normal, np.eye(3)[np.argmin(overlap, axis=2)])
+    side = 4.0 * sides[:, first, 1] * sides[:, first, 2]
+    area = np.where(half_space, side, across[..., 1] * across[..., 2])
+    return gap < _NEAR * size, place, normal, area
 
 
 def _largest_eigenvalues(
@@ -214,15 +219,18 @@ def _largest_eigenvalues(
         np.add.at(counts, side, weights.T > 0.0)
     counts[-1] = 0.0
     weights = weights * (np.maximum(counts[sides[0]], counts[sides[1]]).T > 1.0)
-    if not weights.any():
+    used = np.flatnonzero(weights.any(axis=0))
+    if not len(used):
         return np.zeros(envs), [bodies[0]] * envs
-    axes = contacts.axes[:, :, directions]
+    weights, place, axes = weights[:, used], contacts.place[:, used], contacts.axes[:, used, directions]
+    sides = [side[used] for side in sides]
     rows = []
-    for sign, k in ((1.0, 0), (-1.0, 1)):
+    for sign, side in zip((1.0, -1.0), sides, strict=True):
         row = np.zeros((*axes.shape[:3], 6))
         for body, number in numbers.items():
-            own = np.flatnonzero(sides[k] == number)
-            row[:, own] = sign * _scaled_rows(model, body, contacts.place[:, own], axes[:, own])
+            own = np.flatnonzero(side == number)
+            if len(own):
+                row[:, own] = sign * _scaled_rows(model, body, place[:, own], axes[:, own])
         rows.append(row)
     motion = np.random.default_rng(0).normal(size=(len(bodies) + 1, envs, 6))
     motion[-1] = 0.0
