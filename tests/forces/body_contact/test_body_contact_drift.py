@@ -63,7 +63,7 @@ def test_solids_at_rest_do_not_drift(nonsmooth, device):
             upper = scene.add_shape(body, solid)
         scene.add_body_contact(upper, floor, material, name=f"{name}_touch")
     model = scene.build(device=device, precision="float64")
-    dt, integrator = (2e-3, wc.integrators.MoreauJean()) if nonsmooth else (1e-4, None)
+    dt, integrator = (2e-3, wc.integrators.MoreauJean()) if nonsmooth else (2e-4, None)
     sim = wc.Simulation(model, dt=dt, integrator=integrator)
     sim.step(round(2.0 / dt))
     poses = {}
