@@ -90,6 +90,12 @@ def functions(real: type) -> Functions:
         target.body_position[env, body] = source.body_position[env, body]
         target.body_position_remainder[env, body] = source.body_position_remainder[env, body]
         target.body_orientation[env, body] = source.body_orientation[env, body]
+        if target.body_orientation_remainder.shape[1] > 0:
+            # Initial states have none.
+            remainder = quat()
+            if source.body_orientation_remainder.shape[1] > 0:
+                remainder = source.body_orientation_remainder[env, body]
+            target.body_orientation_remainder[env, body] = remainder
         target.body_linear_velocity[env, body] = source.body_linear_velocity[env, body]
         target.body_angular_velocity[env, body] = source.body_angular_velocity[env, body]
 

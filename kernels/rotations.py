@@ -13,6 +13,7 @@ class Functions(NamedTuple):
 
     matrix: wp.Function  # matrix of a quaternion
     rotated: wp.Function  # quaternion rotated by a rotation vector in W, normalized
+    rotated_split: wp.Function  # the same for a quaternion and its rounding remainder, as a ``SplitQuaternion``
     rotation_vector: wp.Function  # rotation vector of a quaternion, at most π long
     spin: wp.Function  # angular velocity of a body from its angular momentum, W
 
@@ -28,6 +29,13 @@ def functions(real: type) -> Functions:
     c_1, c_2, c_3, c_4 = (wp.constant(real((-1) ** k / math.factorial(2 * k))) for k in range(1, 5))
     # A Newton step to unit length leaves 3/8 of the squared excess, which is below rounding for this excess.
     nearly = wp.constant(real(n.epsilon**0.5 / 4.0))
+
+    @wp.struct
+    class SplitQuaternion:
+        """The rotation of the sum of a quaternion and its rounding remainder."""
+
+        rounded: quat
+        remainder: quat
 
     @wp.func
     def matrix(q: quat):
@@ -80,6 +88,32 @@ def functions(real: type) -> Functions:
         return unit(quat(axis[0], axis[1], axis[2], cosine) * q)
 
     @wp.func
+    def rotated_split(q: quat, remainder: quat, angle_W: vec3):
+        """Returns ``q + remainder`` rotated by the rotation vector ``angle_W`` in W, as a ``SplitQuaternion``.
+
+        A compensated sum: a rotation per step is often smaller than the rounding of the quaternion.
+        """
+        squared = real(0.25) * wp.dot(angle_W, angle_W)
+        sinc = one
+        cosine_excess = real(0.0)
+        if squared < real(0.01):
+            sinc = one + squared * (s_1 + squared * (s_2 + squared * (s_3 + squared * s_4)))
+            cosine_excess = squared * (c_1 + squared * (c_2 + squared * (c_3 + squared * c_4)))
+        else:
+            angle = wp.sqrt(squared)
+            sinc = wp.sin(angle) / angle
+            cosine_excess = wp.cos(angle) - one
+        axis = (half * sinc) * angle_W
+        increment = quat(axis[0], axis[1], axis[2], cosine_excess) * q + remainder
+        # A Newton step towards unit length is along q, so its rounding does not rotate.
+        increment = increment - (half * (wp.dot(q, q) - one)) * q
+        result = SplitQuaternion()
+        result.rounded = q + increment
+        rounded_increment = result.rounded - q
+        result.remainder = (q - (result.rounded - rounded_increment)) + (increment - rounded_increment)
+        return result
+
+    @wp.func
     def rotation_vector(q: quat):
         """Returns the rotation vector of ``q``, at most π long; inverse of ``rotated``."""
         v = vec3(q[0], q[1], q[2])
@@ -98,4 +132,10 @@ def functions(real: type) -> Functions:
         """Returns the angular velocity of a body with angular momentum ``momentum_W``, W [rad/s]."""
         return wp.quat_rotate(q_WB, inverse_inertia_B * wp.quat_rotate_inv(q_WB, momentum_W))
 
-    return Functions(matrix=matrix, rotated=rotated, rotation_vector=rotation_vector, spin=spin)
+    return Functions(
+        matrix=matrix,
+        rotated=rotated,
+        rotated_split=rotated_split,
+        rotation_vector=rotation_vector,
+        spin=spin,
+    )

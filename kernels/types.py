@@ -329,6 +329,7 @@ def structs(real: type) -> Structs:
         body_position: wp.array2d(dtype=vec3)  # [env, body] center of mass, W [m]
         body_position_remainder: wp.array2d(dtype=vec3)  # [env, body] rounding remainder, to be added [m]
         body_orientation: wp.array2d(dtype=quat)  # [env, body] B → W
+        body_orientation_remainder: wp.array2d(dtype=quat)  # [env, body] rounding remainder, to be added; or empty
         body_linear_velocity: wp.array2d(dtype=vec3)  # [env, body] of the center of mass, W [m/s]
         body_angular_velocity: wp.array2d(dtype=vec3)  # [env, body], W [rad/s]
 

@@ -138,7 +138,12 @@ def functions(real: type) -> Functions:
         if body < 0:
             return wp.quatd(double(0.0), double(0.0), double(0.0), double(1.0))
         q = state.body_orientation[env, body]
-        return wp.normalize(wp.quatd(double(q[0]), double(q[1]), double(q[2]), double(q[3])))
+        q_64 = wp.quatd(double(q[0]), double(q[1]), double(q[2]), double(q[3]))
+        if wp.static(real is wp.float32):
+            if state.body_orientation_remainder.shape[1] > 0:
+                r = state.body_orientation_remainder[env, body]
+                q_64 = q_64 + wp.quatd(double(r[0]), double(r[1]), double(r[2]), double(r[3]))
+        return wp.normalize(q_64)
 
     @wp.func
     def body_center(state: State, env: int, body: int):

@@ -41,8 +41,10 @@ class EulerParts(NamedTuple):
 
 
 @functools.cache
-def euler(real: type) -> EulerParts:
+def euler(real: type, splits_orientation: bool = False) -> EulerParts:
     """Returns the device functions of a semi-implicit Euler step of a free body.
+
+    With ``splits_orientation``, the state has rounding remainders of orientations.
 
     Velocities are advanced first, from the wrenches at ``state_in``; positions follow with the new velocities.
     Rotation advances the angular momentum L, which includes the gyroscopic term exactly, and rotates the body by
@@ -52,7 +54,8 @@ def euler(real: type) -> EulerParts:
     t = structs(real)
     vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
     rotation_functions = rotations.functions(real)
-    rotated, spin = rotation_functions.rotated, rotation_functions.spin
+    rotated, rotated_split = rotation_functions.rotated, rotation_functions.rotated_split
+    spin = rotation_functions.spin
     guard_functions = accept_step.guard(real)
     Guard, failure_cause = guard_functions.Guard, guard_functions.failure_cause
 
@@ -63,6 +66,7 @@ def euler(real: type) -> EulerParts:
         position: vec3
         remainder: vec3
         orientation: quat
+        orientation_remainder: quat  # unused without ``splits_orientation``
         velocity: vec3
         spin: vec3
 
@@ -82,6 +86,8 @@ def euler(real: type) -> EulerParts:
         inverse_B = model.body_inverse_inertia[env, body]
         new_spin = w_W + (dt * inverse_B[0, 0]) * torque
         orientation = q_WB
+        if wp.static(splits_orientation):
+            angle_W = dt * new_spin
         if model.body_isotropic_inertia[env, body]:
             orientation = rotated(q_WB, dt * new_spin)
         else:
@@ -90,6 +96,8 @@ def euler(real: type) -> EulerParts:
             momentum = last_momentum + dt * torque
             start = spin(inverse_B, q_WB, momentum)
             q_middle = rotated(q_WB, real(0.5) * dt * start)
+            if wp.static(splits_orientation):
+                angle_W = dt * spin(inverse_B, q_middle, momentum)
             orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
             # Add the change of the angular velocity instead of replacing it: a quaternion is not exactly of unit
             # length and scales the vectors that it rotates. In a difference this error cancels instead of
@@ -99,6 +107,10 @@ def euler(real: type) -> EulerParts:
         body_step.position = position
         body_step.remainder = (before - (position - rounded_displacement)) + (displacement - rounded_displacement)
         body_step.orientation = orientation
+        if wp.static(splits_orientation):
+            split = rotated_split(q_WB, state.body_orientation_remainder[env, body], angle_W)
+            body_step.orientation = split.rounded
+            body_step.orientation_remainder = split.remainder
         body_step.velocity = velocity
         body_step.spin = new_spin
         return body_step
@@ -108,6 +120,8 @@ def euler(real: type) -> EulerParts:
         state.body_position[env, body] = body_step.position
         state.body_position_remainder[env, body] = body_step.remainder
         state.body_orientation[env, body] = body_step.orientation
+        if wp.static(splits_orientation):
+            state.body_orientation_remainder[env, body] = body_step.orientation_remainder
         state.body_linear_velocity[env, body] = body_step.velocity
         state.body_angular_velocity[env, body] = body_step.spin
 
@@ -132,13 +146,14 @@ def semi_implicit_euler(
     sources: tuple[bool, bool] | None = None,
     accepts: bool = False,
     has_particles: bool = False,
+    splits_orientation: bool = False,
 ) -> wp.Kernel:
     """Returns the semi-implicit Euler kernel; items: bodies.
 
     With ``has_joints``, bodies with joints are skipped. With ``sources``, the options of
     ``wrenches.functions``, the kernel sums the wrenches first, with those of particles if ``has_particles``, and
     writes them if ``write_outputs``. With ``accepts``, for environments of one body, it accepts the step and
-    advances the history.
+    advances the history. ``splits_orientation`` is that of ``euler``.
     """
     t = structs(real)
     vec3, Model, State, ActiveContacts, EndWrenches, Wrenches = (
@@ -154,7 +169,7 @@ def semi_implicit_euler(
     accept, advance = accept_step.accept_step(real), history.advance(real, False)
     body_wrench = wrench_functions.functions(real, *(sources or (False, False))).body_wrench
     reset_queues = wrench_functions.reset_queues
-    body_functions = euler(real)
+    body_functions = euler(real, splits_orientation)
     Guard, stepped_body, write_body, step_failure_cause = (
         body_functions.Guard,
         body_functions.stepped_body,

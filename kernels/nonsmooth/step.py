@@ -285,7 +285,7 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
     bodies have joints; those with prescribed motion are only checked.
     """
     t = structs(real)
-    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    quat, Model, State, Wrenches = t.quat, t.Model, t.State, t.Wrenches
     BodyResponse = wp.array2d(dtype=body_response_struct(real, has_joints))
     rotation_functions = rotations.functions(real)
     rotated, spin = rotation_functions.rotated, rotation_functions.spin
@@ -404,6 +404,9 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
                 displacement - applied
             )
             state_out.body_orientation[env, body] = orientation
+            if state_out.body_orientation_remainder.shape[1] > 0:
+                # That of a step with another integrator.
+                state_out.body_orientation_remainder[env, body] = quat()
             state_out.body_linear_velocity[env, body] = velocity
             state_out.body_angular_velocity[env, body] = angular_velocity
             # The sum is finite only if every term is, because all terms are nonnegative.

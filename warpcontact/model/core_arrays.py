@@ -8,6 +8,7 @@ from warpcontact.forces.ends import Ends
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.query_mesh import QueryMeshes
 from warpcontact.kernels import types
+from warpcontact.model.model_traits import splits_orientation
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
 from warpcontact.storage.model_arrays import ModelArrays
@@ -41,12 +42,13 @@ def declare_arrays(
     contacts = len(clusters.contact)
     body_count = sum(body.count for body in scene.bodies)
     bodies, each, parts = per_env(body_count), per_env(contacts), per_env(clusters.count)
+    remainders = per_env(body_count if splits_orientation(scene, t.real) else 0)
     # Interleave: only a few of many contacts are accessed. With one contact per environment, all are, in order.
     records = contacts > 1
     arrays = ModelArrays(
         model=t.Model(),
         initial=t.State(),
-        state=layout.struct("state", t.State, bodies),
+        state=layout.struct("state", t.State, bodies, body_orientation_remainder=remainders),
         wrenches=layout.struct("state", t.Wrenches, bodies, transient=True),
         # The number of ends is known after all force elements are declared.
         end_wrenches=layout.struct("couplings", t.EndWrenches, lambda envs: (envs, ends.count), transient=True),

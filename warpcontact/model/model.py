@@ -45,6 +45,8 @@ class State:
         body_position_remainder: Rounding remainder [m]: the center of mass is the sum of both. To set a position to
             the precision of the model, it is sufficient to write ``body_position``.
         body_orientation: Rotation body → world, quaternion (x, y, z, w).
+        body_orientation_remainder: Rounding remainder: the rotation is that of the normalized sum. Empty except in float32
+            models with body contacts. To set an orientation, it is sufficient to write ``body_orientation``.
         body_linear_velocity: Velocity of the center of mass, world [m/s].
         body_angular_velocity: Angular velocity, world axes [rad/s].
     """
@@ -52,6 +54,7 @@ class State:
     body_position: wp.array
     body_position_remainder: wp.array
     body_orientation: wp.array
+    body_orientation_remainder: wp.array
     body_linear_velocity: wp.array
     body_angular_velocity: wp.array
 

@@ -8,7 +8,7 @@ import warp as wp
 
 from warpcontact.forces.force_element import ForceElement, ForceTarget, Need
 from warpcontact.kernels.outcomes import body_measures
-from warpcontact.kernels.types import FREE
+from warpcontact.kernels.types import FREE, Structs
 from warpcontact.scene.scene_data import SceneData
 from warpcontact.storage.allocation_plan import SENSOR_PURPOSE, AllocationPlan, per_env
 from warpcontact.storage.memory_estimate import MemoryItem
@@ -27,16 +27,27 @@ _FORCE_NEEDS = {
 }
 
 
+def splits_orientation(scene: SceneData, real: type) -> bool:
+    """Returns whether the state has rounding remainders of orientations: in float32 with body contacts.
+
+    A body at rest on a face has a torque that depends on tilts below the rounding of a float32 quaternion. Without the
+    remainder, rotations of a step below this rounding are lost, and the body keeps an angular velocity.
+    """
+    return real is wp.float32 and bool(scene.body_contacts)
+
+
 class ModelTraits:
     """Counts, flags and needs of a model, independent of the number of environments.
 
     Attributes:
         scene: The scene.
+        types: Structs of the precision.
         arrays: The arrays of the model.
         force_elements: All force elements, in launch order.
     """
 
     scene: SceneData
+    types: Structs
     arrays: ModelArrays
     force_elements: Sequence[ForceElement]
 
@@ -73,6 +84,11 @@ class ModelTraits:
     def has_joints(self) -> bool:
         """Whether any body has a joint or prescribed motion."""
         return any(body.motion.kind != FREE for body in self.scene.bodies)
+
+    @cached_property
+    def splits_orientation(self) -> bool:
+        """Whether the state has rounding remainders of orientations, see ``splits_orientation``."""
+        return splits_orientation(self.scene, self.types.real)
 
     @cached_property
     def has_ends(self) -> bool:

@@ -114,7 +114,11 @@ class StepBuffers:
         unallocated = StepLength(None, None, None)
         self.times = StepLengths(unallocated, unallocated, None, None)
         self.other_state = self.layout.struct(
-            "stepping", model.types.State, per_env(model.body_count), transient=True
+            "stepping",
+            model.types.State,
+            per_env(model.body_count),
+            transient=True,
+            body_orientation_remainder=per_env(model.body_count if model.splits_orientation else 0),
         )
         self.nonsmooth = integrator.declare(model, self.layout)
         self.monitor = Monitor(model, settings, self.layout, self.nonsmooth) if settings else None

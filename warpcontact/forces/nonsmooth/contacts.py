@@ -175,7 +175,9 @@ class NonsmoothContacts(ForceElement):
         self._nonsmooth = [contact for contact in everything if not self.is_compliant(contact.name)]
 
         bodies, each_row = per_env(model.body_count), per_env(max(1, self.capacity))
-        self.half_step_state = layout.struct(PURPOSE, t.State, bodies, transient=True)
+        self.half_step_state = layout.struct(
+            PURPOSE, t.State, bodies, transient=True, body_orientation_remainder=per_env(0)
+        )
         made = {
             "rows": (rows.Row, each_row),
             "body_response": (body_response_struct(t.real, model.has_joints), bodies),

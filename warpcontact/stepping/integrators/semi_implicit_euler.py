@@ -72,7 +72,12 @@ class SemiImplicitEuler(Integrator):
         summed = next(iter(model.elements_added_to_bodies if by_cluster else ()), None)
         sources = plan.other_forces if by_cluster else None
         kernel = semi_implicit.semi_implicit_euler(
-            real, model.has_joints, sources, plan.shape.integrator_accepts, summed is not None
+            real,
+            model.has_joints,
+            sources,
+            plan.shape.integrator_accepts,
+            summed is not None,
+            model.splits_orientation,
         )
         contact_inputs = {"contacts": a.contacts, "active_contacts": a.active_contacts, "cache": a.cache}
         launches += plan.prepare(
