@@ -134,6 +134,7 @@ def store_function(contact_model: ContactModel, real: type, per_area: bool, has_
                 max_elapsed = real(sums.depth / approach_speed)
             # Not a constant, so that the loop is not unrolled.
             patch_count = wp.int32(PATCH_COUNT)
+            loads = wp.vec4d()
             for patch in range(patch_count):
                 member = PATCH_COUNT * pair.number + patch
                 patch_shape = shape_of_patch(patch_rows, patch)
@@ -167,16 +168,26 @@ def store_function(contact_model: ContactModel, real: type, per_area: bool, has_
                     sums.force += force_W
                     sums.torque_1 += factor * depths.turning
                     sums.torque_2 -= factor * depths.turning + wp.cross(pair.arm_2 - pair.arm_1, force_W)
-                # The sums are per area, or per contact; the force of the contact is ``scale`` times that.
-                patch_shape.normal_force = patch_shape.normal_force * unscaled
+                loads[patch] = patch_shape.normal_force
+            load = loads[0] + loads[1] + loads[2] + loads[3]
+            for patch in range(patch_count):
+                if loads[patch] == double(0.0):
+                    continue
+                member = PATCH_COUNT * pair.number + patch
+                patch_shape = shape_of_patch(patch_rows, patch)
+                # Friction of the load of all patches, of which a patch has its fraction: otherwise one with a tiny load would
+                # have the damping of the whole contact at small slip. The sums are per area, or per contact; the force of
+                # the contact is ``scale`` times that.
+                load_fraction = loads[patch] / load
+                patch_shape.normal_force = load * unscaled
                 arm_2 = patch_shape.center - pair.arm_1 + pair.arm_2
                 wrench = friction_of_patch(
                     state, env, pair.body_1, pair.body_2, patch_shape.center, arm_2, patch_shape,
                     coefficients.friction[env, pair.number], history_in.friction, history_out.friction, member,
                     max_elapsed, dt, axes_of(pair),
                 )  # fmt: skip
-                friction_W = wrench.force / unscaled
-                torque_W = wrench.torque / unscaled
+                friction_W = load_fraction * wrench.force / unscaled
+                torque_W = load_fraction * wrench.torque / unscaled
                 sums.friction += friction_W
                 sums.force += friction_W
                 sums.torque_1 += wp.cross(patch_shape.center, friction_W) + torque_W

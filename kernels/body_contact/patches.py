@@ -7,6 +7,7 @@ the law. The pressure of a linear law is that at each column, and the force of c
 A patch has the center of its pressure, and a friction radius r_f: pure spin at rate ω under Coulomb friction has the torque
 μ N r_f. The slip of a patch is the vector of its tangential velocity and, along the normal, r_f ω. A friction model limits
 the length of the force that opposes this vector, so force and torque are on the ellipse |F|² + (M/r_f)² ≤ (μ N)².
+Patches share stiffness and damping of the model in proportion to their normal forces.
 """
 
 import functools
@@ -39,7 +40,7 @@ DEPTH_SUMS = 7
 class PatchShape:
     """Distribution of the pressure of a patch."""
 
-    normal_force: wp.float64  # [N]
+    normal_force: wp.float64  # [N]; for ``friction``, that of all patches of the pair
     normal: wp.vec3d  # mean, unit, out of the second solid, W
     center: wp.vec3d  # of pressure, W, relative to the origin of the sums [m]
     friction_radius: wp.float64  # r_f [m]
@@ -237,7 +238,8 @@ class Functions(NamedTuple):
     """Device functions of the friction of patches."""
 
     #: ``(state, env, body_1, body_2, arm_1, arm_2, shape, coefficients, history_in, history_out, member, max_elapsed,
-    #: dt, q_WS)``: returns friction force (3) and torque along the normal (3) on the first body, W, as a ``FrictionWrench``.
+    #: dt, q_WS)``: returns friction force (3) and torque along the normal (3) on the first body, W, as a ``FrictionWrench``,
+    #: of the normal force of all patches.
     friction: wp.Function
     #: ``(history_out, env, member, dt)``: clears the history of a patch.
     clear_history: wp.Function
