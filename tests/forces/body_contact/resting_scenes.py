@@ -6,6 +6,7 @@ Each function takes a function ``material(mass)``, the material of a contact who
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from part_meshes import bracket, centered, l_section, prism, random_hull
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
@@ -30,7 +31,7 @@ class Part:
         inertia: About the center of mass [kg·m²].
         height: Height of the center of mass above its lowest point [m].
         orientation: Body → world.
-        offset: Of the shape from the center of mass [m].
+        offset: Position of the shape relative to the center of mass [m].
     """
 
     solid: object
@@ -75,8 +76,8 @@ def add_floor(scene, kind):
     return scene.add_surface(wc.meshes.box((10.0, 10.0, 0.2)), position=(0, 0, -0.1), name="floor")
 
 
-def parts_on_floor(floor, material, names):
-    """Returns the scene of parts in a row along y, each in the contact ``<name>_touch`` with the floor."""
+def parts_on_floor(floor, material, names, *, gap=0.0):
+    """Returns the scene of parts in a row along y, each in the contact ``<name>_touch`` with the floor, ``gap`` above it."""
     scene = wc.Scene(gravity=(0, 0, -GRAVITY))
     ground = add_floor(scene, floor)
     known = parts()
@@ -85,7 +86,7 @@ def parts_on_floor(floor, material, names):
         body = scene.add_body(
             mass=1.0,
             inertia=part.inertia,
-            position=(0, 0.5 * number - 2.0, part.height),
+            position=(0, 0.5 * number - 2.0, part.height + gap),
             orientation=part.orientation,
             name=name,
         )
@@ -99,9 +100,7 @@ def parts_on_floor(floor, material, names):
 
 def add_box(scene, height, name, *, below, place=(0.0, 0.0), mesh=False, material):
     """Adds a cube of 1 kg in the contact ``<name>_on`` with solids below it; returns its solid."""
-    body = scene.add_body(
-        mass=1.0, inertia=[SIDE**2 / 6] * 3, position=(*place, height + SIDE / 2), name=name
-    )
+    body = scene.add_body(mass=1.0, inertia=[SIDE**2 / 6] * 3, position=(*place, height + SIDE / 2), name=name)
     if mesh:
         solid = scene.add_surface(wc.meshes.box((SIDE,) * 3), body, name=f"{name}_solid")
     else:
@@ -155,9 +154,7 @@ def pyramid(floor, material, *, gap=0.0):
     scene = wc.Scene(gravity=(0, 0, -GRAVITY))
     ground = add_floor(scene, floor)
     places = [(x, y) for x in (-0.07, 0.07) for y in (-0.07, 0.07)]
-    lower = [
-        add_box(scene, gap, f"box_{i}", below=ground, place=places[i], material=material) for i in range(4)
-    ]
+    lower = [add_box(scene, gap, f"box_{i}", below=ground, place=places[i], material=material) for i in range(4)]
     add_box(scene, SIDE + 2 * gap, "top", below=lower, mesh=True, material=material)
     return scene
 
@@ -207,7 +204,7 @@ def arch(floor, material):
 
 
 def thrust_range():
-    """Returns the smallest and largest horizontal force on a foot of the arch that statics allow [N].
+    """Returns the smallest and largest horizontal force on a support of the arch that statics allow [N].
 
     The force on each joint acts within the joint: its moment has opposite signs about the two ends. Half of the weight is on each
     foot, at an unknown place.
@@ -215,8 +212,8 @@ def thrust_range():
     angles = -np.pi / 2 + np.pi / WEDGES * np.arange(WEDGES + 1)
     middles = arch_radius() * np.sin((angles[:-1] + angles[1:]) / 2)
     vertical = WEDGES * GRAVITY / 2
-    # Conditions on the thrust and the place of the left foot's force, at z = 0. The moments about (x, z) of the forces on the wedges
-    # from the left foot to a joint are −z H + (x − p) V − Σ g (x − xᵢ), at least 0 for the inner end and at most 0 for the outer one.
+    # Conditions on the thrust and the place of the left reaction, at z = 0. The moments about (x, z) of the forces on the wedges
+    # from the left support to a joint are −z H + (x − p) V − Σ g (x − xᵢ), at least 0 for the inner end and at most 0 for the outer one.
     bounds = []
     for j, angle in enumerate(angles):
         for sign, end in ((-1, INNER), (1, OUTER)):
@@ -238,6 +235,22 @@ def push(model, name, force, arm):
     model[f"{name}.external_torque"] = -arm * force[:, None] * [0.0, 1.0, 0.0]
 
 
+def check_balance(forces, centers, weight, place=(0.0, 0.0), *, rtol):
+    """Checks that vertical forces on a body carry its weight, and that their common center is below its center of mass.
+
+    Args:
+        forces: Vertical forces [N], (n,).
+        centers: Their places along x and y [m], (n, 2).
+        weight: Weight [N].
+        place: Place of the center of mass along x and y [m].
+        rtol: Tolerance relative to the weight, and to its moment at the distance of the farthest force.
+    """
+    assert (forces > 0).all()
+    assert forces.sum() == pytest.approx(weight, rel=rtol)
+    arms = centers - np.asarray(place)
+    np.testing.assert_allclose(forces @ arms, 0, atol=rtol * weight * np.abs(arms).max())
+
+
 class Rest:
     """Compares bodies with their state at the start of a period of rest.
 
@@ -253,11 +266,12 @@ class Rest:
     def _pose(self, name):
         return [self.model.sensor(f"{name}.{key}").astype(float) for key in ("position", "orientation")]
 
-    def check(self, *, drift=1e-6, speed=1e-6, envs=slice(None)):
+    def check(self, *, drift=1e-6, speed=1e-6, spin=1e-6, envs=slice(None)):
         """Checks speeds [m/s, rad/s] and changes of position and orientation [m, rad] since the start."""
         for name in self.names:
-            for key in ("linear_velocity", "angular_velocity"):
-                assert np.abs(self.model.sensor(f"{name}.{key}")[envs]).max() < speed, (name, key)
+            for key, limit in (("linear_velocity", speed), ("angular_velocity", spin)):
+                found = self.model.sensor(f"{name}.{key}")[envs]
+                assert np.abs(found).max() < limit, (name, key, found)
             position, orientation = self._pose(name)
             assert np.abs(position - self.start[name][0])[envs].max() < drift, name
             # A rotation by a small angle changes its quaternion by half of it.

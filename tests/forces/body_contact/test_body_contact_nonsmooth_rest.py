@@ -32,11 +32,16 @@ def simulation(model, **options):
     return wc.Simulation(model, dt=DT, integrator=wc.integrators.MoreauJean(**options))
 
 
-def check_rest(sim, bodies, seconds, envs=slice(None)):
-    """Steps a simulation and checks that bodies do not move in ``envs``."""
+def check_rest(sim, bodies, seconds, *, carried=1, envs=slice(None)):
+    """Steps a simulation and checks that bodies do not move in ``envs``; each carries up to ``carried`` bodies of 1 kg."""
+    limits = {}
+    if sim.model.precision == "float32":
+        # The solver ends at a residual of 1e-5 of the impulse of a weight, which acts at up to SIDE/√2 from the center of a cube.
+        speed = 1e-5 * carried * GRAVITY * DT
+        limits = {"speed": max(speed, 1e-6), "spin": speed * (SIDE / np.sqrt(2)) / (SIDE**2 / 6)}
     rest = Rest(sim.model, bodies)
     sim.step(round(seconds / DT))
-    rest.check(envs=envs)
+    rest.check(envs=envs, **limits)
 
 
 def stepped_slide(factor, steps):
@@ -53,11 +58,8 @@ def test_parts_of_any_shape_rest_and_hold_a_push(floor, precision, seconds, devi
     factors = np.array([0.0, 0.98, 1.02])
     # Cones are supported on half-spaces only.
     known = {name: part for name, part in scenes.parts().items() if floor == "half-space" or name != "cone"}
-    scene = scenes.parts_on_floor(floor, material, known)
+    scene = scenes.parts_on_floor(floor, material, known, gap=1e-3)
     model = scene.build(envs=len(factors), device=device, precision=precision)
-    for name, part in known.items():
-        model[f"{name}.position"] = np.array([*scene[name].position[:2], part.height + 1e-3])
-    model.reset()
     sim = simulation(model)
     sim.step(100)
     before = Rest(model, scene.bodies)
@@ -68,7 +70,9 @@ def test_parts_of_any_shape_rest_and_hold_a_push(floor, precision, seconds, devi
     for name, part in known.items():
         position, start = model.sensor(f"{name}.position").astype(float), before.start[name][0]
         np.testing.assert_allclose(position[:2, 2], part.height, atol=2 * CLOSED[precision], err_msg=name)
-        np.testing.assert_allclose(model.sensor(f"{name}_touch.force")[0], [0, 0, GRAVITY], atol=GRAVITY * RESIDUAL[precision])
+        np.testing.assert_allclose(
+            model.sensor(f"{name}_touch.force")[0], [0, 0, GRAVITY], atol=GRAVITY * RESIDUAL[precision]
+        )
         moved = (position - start)[:, 0]
         assert abs(moved[1]) < CLOSED[precision], name
         assert moved[2] == pytest.approx(way, rel=1e-3), name
@@ -91,7 +95,7 @@ def test_stacks_of_ten_boxes_rest(solver, precision, seconds, device):
     model.reset()
     sim = simulation(model, solver=solver)
     sim.step(500)
-    check_rest(sim, scene.bodies, seconds)
+    check_rest(sim, scene.bodies, seconds, carried=count)
     names = [f"box_{i}" for i in range(count)]
     carried = np.cumsum(masses[::-1], axis=0)[::-1] * GRAVITY
     for i, name in enumerate(names):
@@ -129,7 +133,7 @@ def test_pushed_boxes_of_a_stack_hold_up_to_the_limit_of_friction(precision, dev
         speed, way = stepped_slide(factors[env + 1], steps)
         assert model.sensor(f"box_{pushed}.linear_velocity")[env + 1, 0] == pytest.approx(speed, rel=5e-3)
         assert model.sensor(f"box_{pushed}.position")[env + 1, 0] == pytest.approx(way, rel=5e-3)
-    check_rest(sim, scene.bodies, 0.5, envs=[0, 2])
+    check_rest(sim, scene.bodies, 0.5, carried=count, envs=[0, 2])
 
 
 @durations
@@ -143,25 +147,26 @@ def test_pyramid_of_five_boxes_rests(precision, seconds, device):
     sim.step(300)
     check_rest(sim, scene.bodies, seconds)
     assert model.sensor("top.position")[0, 2] == pytest.approx(1.5 * SIDE, abs=3 * CLOSED[precision])
-    # The load is shared among points by accelerated gradient steps, so it is nearly equal.
-    upper = model.sensor("top_on.force")[0, :, 2]
-    np.testing.assert_allclose(upper, GRAVITY / 4, rtol=1e-2)
-    assert upper.sum() == pytest.approx(GRAVITY, rel=RESIDUAL[precision])
+    upper, centers = model.sensor("top_on.force")[0, :, 2], model.sensor("top_on.center")[0, :, :2]
+    scenes.check_balance(upper, centers, GRAVITY, rtol=RESIDUAL[precision])
     for i in range(4):
-        assert model.sensor(f"box_{i}_on.force")[0, 2] == pytest.approx(GRAVITY + upper[i], rel=RESIDUAL[precision])
+        assert model.sensor(f"box_{i}_on.force")[0, 2] == pytest.approx(
+            GRAVITY + upper[i], rel=RESIDUAL[precision]
+        )
 
 
 @durations
 @both_precisions
 def test_arch_of_mesh_wedges_rests(precision, seconds, device):
-    """Each end of a half circle of seven wedges carries half of its weight."""
+    """A half circle of seven wedges carries itself with a thrust that statics allow."""
     scene = scenes.arch("mesh", material)
     model = scene.build(device=device, precision=precision)
     sim = simulation(model)
     sim.step(500)
-    check_rest(sim, scene.bodies, seconds)
-    force = model.sensor("feet.force")[0]
-    np.testing.assert_allclose(force[:, 2], scenes.WEDGES * GRAVITY / 2, rtol=RESIDUAL[precision])
+    check_rest(sim, scene.bodies, seconds, carried=scenes.WEDGES / 2)
+    force, centers = model.sensor("feet.force")[0], model.sensor("feet.center")[0]
+    # Loads follow from their places within each end.
+    scenes.check_balance(force[:, 2], centers[:, :2], scenes.WEDGES * GRAVITY, rtol=RESIDUAL[precision])
     assert force[0, 0] == pytest.approx(-force[1, 0], rel=RESIDUAL[precision])
     low, high = scenes.thrust_range()
     assert low < force[0, 0] < min(high, MU * force[0, 2])

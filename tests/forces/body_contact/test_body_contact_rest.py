@@ -113,7 +113,10 @@ def resting_heights(stiffness):
     lying = brentq(lambda depth: 2 * HALF * segment(depth) - load, 0, RADIUS, xtol=1e-15)
     depths["lying"] = (lying, 1e-4 * lying)
     caps = brentq(
-        lambda depth: 2 * HALF * segment(depth) + np.pi * depth**2 * (RADIUS - depth / 3) - load, 0, RADIUS, xtol=1e-15
+        lambda depth: 2 * HALF * segment(depth) + np.pi * depth**2 * (RADIUS - depth / 3) - load,
+        0,
+        RADIUS,
+        xtol=1e-15,
     )
     depths["capsule"] = (caps, 1e-4 * caps)
     parts = scenes.parts()
