@@ -9,7 +9,7 @@ import pytest
 import resting_scenes as scenes
 from resting_scenes import GRAVITY, HALF, RADIUS, SIDE, Rest, push
 from scipy.optimize import brentq, root
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
@@ -62,31 +62,35 @@ def segment(depth):
     return RADIUS**2 * np.arccos(height / RADIUS) - height * np.sqrt(RADIUS**2 - height**2)
 
 
-def submerged(vertices):
-    """Returns volume [m³] and center [m] of the part of a convex hull below z = 0."""
+def submerged(vertices, floor):
+    """Returns volume [m³] and center [m] of the part of a convex hull below z = 0; on a mesh, of that below its section there."""
     below, above = vertices[vertices[:, 2] <= 0], vertices[vertices[:, 2] > 0]
     # All segments from below to above, whose crossings have the section as their hull.
     fraction = below[:, None, 2] / (below[:, None, 2] - above[None, :, 2])
-    crossings = below[:, None] + fraction[..., None] * (above[None] - below[:, None])
-    points = np.concatenate([below, crossings.reshape(-1, 3)])
+    crossings = (below[:, None] + fraction[..., None] * (above[None] - below[:, None])).reshape(-1, 3)
     # The hull is thin: it is computed with its height scaled to its width.
     scale = np.array([1.0, 1.0, SIDE / -below[:, 2].min()])
-    hull = ConvexHull(points * scale)
+    hull = ConvexHull(np.concatenate([below, crossings]) * scale)
+    if floor == "mesh":
+        walls = np.insert(ConvexHull(crossings[:, :2]).equations, 2, 0.0, axis=1)
+        inside = np.array([*crossings[:, :2].mean(axis=0), -0.1 * SIDE])
+        hull = ConvexHull(HalfspaceIntersection(np.concatenate([hull.equations, walls]), inside).intersections)
     # Tetrahedra from a point inside to the faces; their volumes are positive.
-    corners = hull.points[hull.simplices] - points.mean(axis=0) * scale
+    apex = hull.points.mean(axis=0)
+    corners = hull.points[hull.simplices] - apex
     volumes = np.abs(np.linalg.det(corners)) / 6
-    center = points.mean(axis=0) * scale + (volumes @ corners.sum(axis=1)) / 4 / volumes.sum()
+    center = apex + (volumes @ corners.sum(axis=1)) / 4 / volumes.sum()
     return volumes.sum() / scale.prod(), center / scale
 
 
-def floating_height(mesh, stiffness, weight):
+def floating_height(mesh, stiffness, weight, floor):
     """Returns the height at which a convex body floats: its weight is ``stiffness`` times the volume below z = 0 [m]."""
     lowest = mesh.vertices[:, 2].min()
 
     def residual(x):
         # Depth in µm, and two tilts in µrad.
         turned = Rotation.from_rotvec(1e-6 * np.array([x[1], x[2], 0.0])).apply(np.array(mesh.vertices))
-        volume, center = submerged(turned - [0, 0, lowest + 1e-6 * x[0]])
+        volume, center = submerged(turned - [0, 0, lowest + 1e-6 * x[0]], floor)
         return [stiffness * volume / weight - 1, *(center[:2] / SIDE)]
 
     base = (mesh.vertices[:, 2] < lowest + 1e-9).sum()
@@ -96,19 +100,23 @@ def floating_height(mesh, stiffness, weight):
     return -lowest - 1e-6 * found.x[0]
 
 
-def resting_heights(stiffness):
+def resting_heights(stiffness, floor):
     """Returns the height of the center of mass of each part at rest, and its tolerance [m]."""
     load = GRAVITY / stiffness  # m³, the volume below the floor
     areas = {
         "cube": SIDE**2,
         "standing": np.pi * RADIUS**2,
-        "cone": np.pi * RADIUS**2,
         "ell": SIDE**2 * 5 / 9,
         "bracket": 2 * 0.03 * 0.08,
     }
     depths = {name: (load / area, 1e-9) for name, area in areas.items()}
-    # Columns of a cone are within its section with the floor, which is smaller than the base.
-    depths["cone"] = (depths["cone"][0], 3 * depths["cone"][0] ** 2 / scenes.CONE_HEIGHT)
+    slope = RADIUS / scenes.CONE_HEIGHT
+    # Columns on a face stand on the section of a cone with it, which is smaller than its base.
+    of_cone = {
+        "half-space": lambda depth: np.pi / (3 * slope) * (RADIUS**3 - (RADIUS - slope * depth) ** 3),
+        "mesh": lambda depth: np.pi * (RADIUS - slope * depth) ** 2 * depth,
+    }[floor]
+    depths["cone"] = (brentq(lambda depth: of_cone(depth) - load, 0, 0.1 * RADIUS, xtol=1e-15), 1e-9)
     # Quadrature errors of curved shapes are below 1e-4 of the force, which grows with the depth to the power of 3/2.
     lying = brentq(lambda depth: 2 * HALF * segment(depth) - load, 0, RADIUS, xtol=1e-15)
     depths["lying"] = (lying, 1e-4 * lying)
@@ -121,7 +129,7 @@ def resting_heights(stiffness):
     depths["capsule"] = (caps, 1e-4 * caps)
     parts = scenes.parts()
     found = {name: (parts[name].height - depth, tolerance) for name, (depth, tolerance) in depths.items()}
-    found["hull"] = (floating_height(parts["hull"].solid, stiffness, GRAVITY), 1e-9)
+    found["hull"] = (floating_height(parts["hull"].solid, stiffness, GRAVITY, floor), 1e-9)
     return found
 
 
@@ -163,7 +171,7 @@ def check_slide(speed, use, stretch, mu, ramp, seconds):
 def test_parts_of_any_shape_rest_and_hold_a_push(floor, precision, seconds, device):
     stiffness, dt = 2e7, 1.5e-4
     factors = np.array([0.0, 0.98, 1.02])
-    expected = resting_heights(stiffness)
+    expected = resting_heights(stiffness, floor)
     names = list(expected)
     scene = scenes.parts_on_floor(floor, material_of(stiffness), names)
     model = scene.build(envs=len(factors), device=device, precision=precision)
