@@ -22,6 +22,7 @@ FLOOR = -0.2  # m, below the mouth
 STIFFNESS, FRICTION = 5e7, 0.3  # Pa/m
 OPENING, END = 1.0, 2.5  # s, times at which the gate opens and the run ends
 DT, FRAME = 1e-4, 0.01  # s
+WINDOW = 20  # frames of a mean over time
 
 
 def loft(outlines: np.ndarray) -> wc.Mesh:
@@ -113,8 +114,12 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     took = time.perf_counter() - began
 
     def carried(recording: wc.Recording, name: str) -> float:
-        """Returns the mean vertical force of a contact over the last 0.2 s, relative to the weight of all parts."""
-        return float(recording[f"{name}.force"].values[-20:, 0, :, 2].sum(axis=1).mean()) / weight
+        """Returns the mean vertical force of a contact over the last ``WINDOW``, relative to the weight of all parts."""
+        return float(recording[f"{name}.force"].values[-WINDOW:, 0, :, 2].sum(axis=1).mean()) / weight
+
+    def fastest(recording: wc.Recording) -> float:
+        """Returns the largest vertical speed of a part in the last ``WINDOW`` [m/s]."""
+        return max(float(abs(recording[f"{name}.linear_velocity"][-WINDOW:, 0, 2]).max()) for name in names)
 
     places = np.stack([after[f"{name}.position"].values[:, 0] for name in names], axis=1)
     below = places[..., 2] < -0.5 * LENGTH
@@ -123,6 +128,8 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     result = {
         "closed": carried(before, "on_funnel") + carried(before, "on_gate"),
         "open": carried(after, "on_floor"),
+        # Parts that rock: the mean force differs from the weight by their change of momentum.
+        "speed": max(fastest(before), fastest(after)),
         "left": float(below[-1].mean()),
         "through_mouth": float((np.abs(leaving) < MOUTH).all(axis=1).mean()),
         "depth": max(
