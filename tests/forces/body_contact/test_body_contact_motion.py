@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from part_meshes import prism
+from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
 
@@ -13,7 +15,14 @@ INERTIA = MASS * CUBE**2 / 6
 
 
 def cube_on_plane(
-    device, envs=1, *, damping=0.0, friction=None, gravity=(0, 0, -GRAVITY), size=(CUBE, CUBE, CUBE)
+    device,
+    envs=1,
+    *,
+    damping=0.0,
+    friction=None,
+    gravity=(0, 0, -GRAVITY),
+    size=(CUBE, CUBE, CUBE),
+    precision="float64",
 ):
     """Returns a model of a box above a half-space, at its depth at rest."""
     scene = wc.Scene(gravity=gravity)
@@ -23,7 +32,7 @@ def cube_on_plane(
     floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
     law = wc.laws.ElasticFoundation(stiffness=K, damping=damping)
     scene.add_body_contact(shape, floor, wc.ContactMaterial(law=law, friction=friction), name="touch")
-    return scene.build(envs=envs, device=device, precision="float64")
+    return scene.build(envs=envs, device=device, precision=precision)
 
 
 def angular_frequency(times, values):
@@ -148,9 +157,63 @@ def test_stack_of_boxes_stays_at_rest(offset, steps, device):
         assert model.sensor(f"touch_{i}.force")[0, 2] == pytest.approx(weight, rel=1e-6)
 
 
-def test_simulation_loaded_from_checkpoint_continues_bitwise_identically(tmp_path, device):
-    """The history of a sliding and spinning patch, and the entry speed, are stored."""
-    models = [cube_on_plane(device, envs=2, damping=50.0, friction=cundall_strack(0.5)) for _ in range(2)]
+def test_patches_of_a_pair_share_the_stiffness_of_friction(device):
+    """A cube in a right-angled groove of one mesh has two patches; a push along it stretches one spring in total."""
+    side, wall, stick, push = 0.1, 0.05, 2e4, 1.0
+    outline = [[0, 0], [0.3, 0], [0.3, wall], [wall, wall], [wall, 0.3], [0, 0.3]]
+    groove = prism(outline, [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]], 0.4)
+    # Walls at 45° that meet along x.
+    sine = np.sqrt(0.5)
+    axes = Rotation.from_matrix(np.array([[0, -sine, sine], [0, sine, sine], [-1, 0, 0]]).T)
+    scene = wc.Scene(gravity=(0, 0, -GRAVITY))
+    below = scene.add_surface(groove, orientation=axes.as_quat(), name="groove")
+    place = axes.apply([wall + side / 2, wall + side / 2, 0])
+    body = scene.add_body(
+        mass=1.0, inertia=[side**2 / 6] * 3, position=place, orientation=axes.as_quat(), name="cube"
+    )
+    shape = scene.add_shape(body, wc.shapes.RoundedBox((side / 2,) * 3))
+    friction = wc.friction.CundallStrack.from_overshoot(
+        mu_static=0.5, mu_dynamic=0.5, stiffness=stick, mass=1.0, overshoot=0.01
+    )
+    law = wc.laws.ElasticFoundation(stiffness=K, damping=50.0)
+    scene.add_body_contact(shape, below, wc.ContactMaterial(law=law, friction=friction), name="touch")
+    model = scene.build(device=device, precision="float64")
+    sim = wc.Simulation(model, dt=1e-4)
+    sim.step(5000)
+    before = model.sensor("cube.position")[0]
+    # At the height of the contact, so that the push does not tip.
+    arm = before[2] - model.sensor("touch.center")[0, 2]
+    model["cube.external_force"], model["cube.external_torque"] = (push, 0, 0), (0, -arm * push, 0)
+    sim.step(8000)
+    moved = model.sensor("cube.position")[0] - before
+    # The overdamped spring approaches its stretch with the time constant c/k = 0.07 s.
+    np.testing.assert_allclose(moved, [push / stick, 0, 0], rtol=1e-3, atol=1e-8)
+    np.testing.assert_allclose(model.sensor("touch.friction_force")[0, 0], -push, rtol=1e-6)
+
+
+def test_slow_rotation_in_float32_is_not_lost_to_rounding(device):
+    """A step turns the cube by 1e-8 rad, which the rounding of an orientation of 90° about x exceeds."""
+    model = cube_on_plane(device, envs=2, gravity=(0, 0, 0), precision="float32")
+    model["cube.position"] = (0, 0, 1)
+    model["cube.orientation"] = (np.sqrt(0.5), 0, 0, np.sqrt(0.5))
+    # In the second environment the inertia is not isotropic; it spins about a principal axis.
+    model["cube.inertia"] = [np.diag([INERTIA] * 3), np.diag([INERTIA, 2 * INERTIA, 3 * INERTIA])]
+    rate, dt, steps = 1e-4, 1e-4, 20_000
+    model["cube.angular_velocity"] = (rate, 0, 0)
+    wc.Simulation(model, dt=dt).step(steps)
+    start, end = Rotation.from_quat([np.sqrt(0.5), 0, 0, np.sqrt(0.5)]), model.sensor("cube.orientation")
+    turned = (Rotation.from_quat(end.astype(float)) * start.inv()).as_rotvec()
+    # Two components of the first and the last quaternion are rounded by up to 3e-8.
+    np.testing.assert_allclose(turned, [[rate * dt * steps, 0, 0]] * 2, atol=4 * np.sqrt(2) * 3e-8)
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_simulation_loaded_from_checkpoint_continues_bitwise_identically(tmp_path, precision, device):
+    """The history of a sliding and spinning patch, the entry speed, and rounding remainders are stored."""
+    models = [
+        cube_on_plane(device, envs=2, damping=50.0, friction=cundall_strack(0.5), precision=precision)
+        for _ in range(2)
+    ]
     for model in models:
         model["cube.linear_velocity"] = [[0.02, 0.01, 0], [0, 0, -0.1]]
         model["cube.angular_velocity"] = [[0, 0, 0.5], [0.1, 0, 0]]
