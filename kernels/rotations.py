@@ -104,13 +104,19 @@ def functions(real: type) -> Functions:
             sinc = wp.sin(angle) / angle
             cosine_excess = wp.cos(angle) - one
         axis = (half * sinc) * angle_W
-        increment = quat(axis[0], axis[1], axis[2], cosine_excess) * q + remainder
-        # A Newton step towards unit length is along q, so its rounding does not rotate.
-        increment = increment - (half * (wp.dot(q, q) - one)) * q
+        start = q
+        excess = wp.dot(q, q) - one
+        if wp.abs(excess) >= nearly:
+            # A value that the user set.
+            start = wp.normalize(q)
+            excess = real(0.0)
+        increment = quat(axis[0], axis[1], axis[2], cosine_excess) * start + remainder
+        # A Newton step towards unit length is along the quaternion, so its rounding does not rotate.
+        increment = increment - (half * excess) * start
         result = SplitQuaternion()
-        result.rounded = q + increment
-        rounded_increment = result.rounded - q
-        result.remainder = (q - (result.rounded - rounded_increment)) + (increment - rounded_increment)
+        result.rounded = start + increment
+        rounded_increment = result.rounded - start
+        result.remainder = (start - (result.rounded - rounded_increment)) + (increment - rounded_increment)
         return result
 
     @wp.func

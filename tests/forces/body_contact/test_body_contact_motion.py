@@ -207,6 +207,14 @@ def test_slow_rotation_in_float32_is_not_lost_to_rounding(device):
     np.testing.assert_allclose(turned, [[rate * dt * steps, 0, 0]] * 2, atol=4 * np.sqrt(2) * 3e-8)
 
 
+def test_orientation_of_any_length_is_normalized_in_float32(device):
+    model = cube_on_plane(device, gravity=(0, 0, 0), precision="float32")
+    model["cube.position"] = (0, 0, 1)
+    model.state.body_orientation.assign(np.array([[[0.0, 0.0, 1.8, 2.4]]], dtype=np.float32))
+    wc.Simulation(model, dt=1e-4).step(2)
+    np.testing.assert_allclose(model.sensor("cube.orientation")[0], [0, 0, 0.6, 0.8], atol=1e-7)
+
+
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_simulation_loaded_from_checkpoint_continues_bitwise_identically(tmp_path, precision, device):
     """The history of a sliding and spinning patch, the entry speed, and rounding remainders are stored."""
