@@ -168,7 +168,9 @@ def store_function(contact_model: ContactModel, real: type, per_area: bool, has_
                     sums.force += force_W
                     sums.torque_1 += factor * depths.turning
                     sums.torque_2 -= factor * depths.turning + wp.cross(pair.arm_2 - pair.arm_1, force_W)
-                loads[patch] = patch_shape.normal_force
+                loads[patch] = wp.max(patch_shape.normal_force, double(0.0))
+                if loads[patch] == double(0.0):
+                    clear_history(history_out.friction, env, member, dt)
             load = loads[0] + loads[1] + loads[2] + loads[3]
             for patch in range(patch_count):
                 if loads[patch] == double(0.0):
