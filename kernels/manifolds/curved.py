@@ -2,18 +2,18 @@
 
 On a plane, the points of a curved solid are its lowest points: the point of a sphere or ellipsoid, the ends of the lowest line of
 a capsule, cylinder or cone, and points of the circular edge of a flat end: the lowest one, and four that are fixed to the
-solid, so that they are defined if it stands upright. On a face, they are cut by its edges. Edges and vertices of a polyhedron touch spheres, capsules
-and the curved surface of cylinders along the line to the nearest point of their axis.
+solid, so that they are defined if it stands upright. On a face, they are cut by its edges. Edges and vertices of a polyhedron touch
+a curved solid as another solid does (``curved_pairs.py``).
 """
 
 import warp as wp
-from warpcontact.kernels.body_contact.curved_solids import CAPSULE, CONE, CYLINDER, ELLIPSOID
+from warpcontact.kernels.body_contact.curved_solids import ELLIPSOID
 from warpcontact.kernels.body_contact.face_trees import next_leaf_in_box, start_traversal
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, corner_count, no_motion
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, bounding_box, plane_offset
-from warpcontact.kernels.manifolds.candidates import Candidate, Patch, add_candidate
+from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, Candidate, Patch, add_candidate
 from warpcontact.kernels.manifolds.collect import Reach
-from warpcontact.kernels.manifolds.curved_features import add_edges_of_face, curved_feature
+from warpcontact.kernels.manifolds.curved_pairs import add_edges_of_face
 from warpcontact.kernels.manifolds.face_clipping import ON_EDGE
 from warpcontact.kernels.manifolds.features import (
     Feature,
@@ -25,20 +25,29 @@ from warpcontact.kernels.manifolds.features import (
     vertex_position,
 )
 from warpcontact.kernels.manifolds.meshes import patch_for
+from warpcontact.kernels.manifolds.support_features import (
+    CIRCLE_ENTRY,
+    CIRCLE_EXIT,
+    COVERED,
+    CUT_LINE,
+    LINE_END,
+    LINE_START,
+    end_height,
+    flat_end,
+    lowest_line,
+)
 
 double = wp.float64
 vec3d = wp.vec3d
 
 #: Largest number of points of a curved solid on a plane.
 SUPPORTS = 6
-# Numbers of points of a curved solid: fixed on a circular edge (from 0), at the ends of a line, cut from a line, at the edge of a flat end.
-LINE_START, LINE_END, CUT_LINE, CIRCLE_ENTRY, CIRCLE_EXIT, COVERED = 8, 9, 10, 11, 12, 13
-# Cosine of the angle between axis and direction from which on a flat end is turned towards a plane.
-FACING_END = wp.constant(double(0.5))
 # Distance relative to the size by which a face is preferred to the flat end of a curved solid as the reference.
 PREFERENCE = wp.constant(double(1.0e-6))
 # Distance relative to the size by which the lowest point may be deeper than those above a face.
 FACE_HYSTERESIS = wp.constant(double(2.0e-4))
+# Distance relative to the size by which points may be deeper than the overlap of a convex polyhedron and a curved solid.
+SAME_DEPTH = wp.constant(double(1.0e-6))
 
 
 @wp.struct
@@ -47,24 +56,6 @@ class Support:
 
     position: vec3d  # [m]
     number: wp.int32  # which identifies it
-
-
-@wp.func
-def flat_end(flags: int, direction: vec3d):
-    """Returns the side (−1 or 1) of the flat end of a curved solid that is turned towards a direction; 0: none is."""
-    if (flags & CYLINDER) != 0 and wp.abs(direction[2]) > FACING_END:
-        return wp.where(direction[2] > double(0.0), 1, -1)
-    if (flags & CONE) != 0 and direction[2] < -FACING_END:
-        return -1
-    return 0
-
-
-@wp.func
-def end_height(flags: int, scale: vec3d, side: int):
-    """Returns the coordinate of a flat end along the axis [m]."""
-    if (flags & CONE) != 0:
-        return double(0.0)
-    return double(side) * scale[2]
 
 
 @wp.func
@@ -87,21 +78,9 @@ def support_points(flags: int, scale: vec3d, direction: vec3d, supports: wp.arra
         return 1
     supports[0].number = LINE_START
     supports[1].number = LINE_END
-    if (flags & CAPSULE) != 0:
-        half = vec3d(double(0.0), double(0.0), scale[2] - r)
-        supports[0].position = r * direction - half
-        supports[1].position = r * direction + half
-        return 2
-    across = vec3d(direction[0], direction[1], double(0.0))
-    size = wp.length(across)
-    lowest = vec3d(r, double(0.0), double(0.0))
-    if size > double(0.0):
-        lowest = (r / size) * across
-    supports[0].position = lowest
-    supports[1].position = vec3d(double(0.0), double(0.0), scale[2])
-    if (flags & CYLINDER) != 0:
-        supports[0].position = lowest - supports[1].position
-        supports[1].position = lowest + supports[1].position
+    start, end = lowest_line(flags, scale, direction)
+    supports[0].position = start
+    supports[1].position = end
     side = flat_end(flags, direction)
     if side == 0:
         return 2
@@ -153,6 +132,7 @@ class CurvedPair:
     second_frame: RelativePose  # of the polyhedron in the frame of the second solid
     kappa: double  # points are at kappa × the gap from the polyhedron
     own_is_second: wp.bool  # whether the polyhedron is the second solid
+    is_convex: wp.bool  # whether the polyhedron is convex, with few planes
 
 
 @wp.struct
@@ -162,6 +142,15 @@ class FaceReference:
     normal: vec3d  # out of the polyhedron, in its frame
     cosine: double  # of this normal and that of the face
     patch: wp.int32
+
+
+@wp.func
+def curved_feature(curved_number: int, own_feature: int, own_is_second: bool):
+    """Returns the feature of a point of a curved solid on a feature of a polyhedron."""
+    feature = Feature()
+    feature.first = wp.where(own_is_second, vertex_feature(curved_number), own_feature)
+    feature.second = wp.where(own_is_second, own_feature, vertex_feature(curved_number))
+    return feature
 
 
 @wp.func
@@ -325,6 +314,20 @@ def add_flat_end(
 
 
 @wp.func
+def lowest_support(pair: CurvedPair, normal: vec3d, supports: wp.array(dtype=Support)):
+    """Returns the support points of the curved solid against ``normal``: their number, and the least height above the origin [m].
+
+    ``normal``: unit vector in the frame of the polyhedron.
+    """
+    direction = -(wp.transpose(pair.pose.rotation) * normal)
+    count = support_points(pair.other.flags, pair.other.scale, direction, supports)
+    lowest = double(wp.inf)
+    for i in range(count):
+        lowest = wp.min(lowest, wp.dot(normal, moved(pair.pose, supports[i].position)))
+    return count, lowest
+
+
+@wp.func
 def add_curved_on_face(
     geometries: Geometries,
     features: Features,
@@ -340,10 +343,8 @@ def add_curved_on_face(
     offset = plane_offset(geometries, pair.own, face)
     direction = -(wp.transpose(pair.pose.rotation) * normal)
     flags = pair.other.flags
-    count = support_points(flags, pair.other.scale, direction, supports)
-    lowest = double(wp.inf)
-    for i in range(count):
-        lowest = wp.min(lowest, wp.dot(normal, moved(pair.pose, supports[i].position)) - offset)
+    count, lowest = lowest_support(pair, normal, supports)
+    lowest -= offset
     reference = FaceReference()
     reference.normal = normal
     reference.cosine = double(1.0)
@@ -405,6 +406,32 @@ def add_curved_on_face(
 
 
 @wp.func
+def face_separation(geometries: Geometries, pair: CurvedPair, supports: wp.array(dtype=Support)):
+    """Returns the largest separation of a convex polyhedron and a curved solid along normals of faces and flat ends [m]."""
+    largest = -double(wp.inf)
+    for plane in range(pair.own.first_plane, pair.own.end_plane):
+        face = geometries.plane_face[plane]
+        _count, lowest = lowest_support(pair, geometries.normal[face], supports)
+        largest = wp.max(largest, lowest - plane_offset(geometries, pair.own, face))
+    axis = pair.pose.rotation * vec3d(double(0.0), double(0.0), double(1.0))
+    for k in range(2):
+        side = flat_end(pair.other.flags, vec3d(double(0.0), double(0.0), double(2 * k - 1)))
+        if side == 0:
+            continue
+        middle = moved(
+            pair.pose, vec3d(double(0.0), double(0.0), end_height(pair.other.flags, pair.other.scale, side))
+        )
+        nearest = double(wp.inf)
+        for face in range(pair.own.first_face, pair.own.end_face):
+            vertices = geometries.face[face]
+            for i in range(corner_count(vertices)):
+                corner = vertex_position(geometries, vertices[i], pair.own)
+                nearest = wp.min(nearest, double(side) * wp.dot(axis, corner - middle))
+        largest = wp.max(largest, nearest)
+    return largest
+
+
+@wp.func
 def curved_manifold(
     geometries: Geometries,
     features: Features,
@@ -416,15 +443,32 @@ def curved_manifold(
     candidates: wp.array(dtype=Candidate),
 ):
     """Collects the candidates of a polyhedron and a curved solid in patches."""
+    best = -double(wp.inf)
+    if pair.is_convex:
+        best = face_separation(geometries, pair, supports)
+        if best > reach.margin:
+            return
     box = bounding_box(pair.other, pair.pose, reach.margin)
     still = no_motion()
     top = start_traversal(pending, 0, pair.own)
     leaf = next_leaf_in_box(pending, 0, top, geometries, pair.own, still, box)
     while leaf.end_face > leaf.first_face:
         for face in range(leaf.first_face, leaf.end_face):
-            add_curved_on_face(geometries, features, pair, face, reach, supports, patches, candidates)
-            add_edges_of_face(
+            largest = add_edges_of_face(
                 geometries, features, pair.own, face, pair.other, pair.pose, pair.second_frame, pair.kappa,
                 pair.own_is_second, reach, patches, candidates,
             )  # fmt: skip
+            best = wp.max(best, largest)
+        leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
+    if pair.is_convex:
+        # Solids overlap by no more than along the best normal of a face or edge. Deeper points are those of other sides.
+        reach.depth = wp.min(reach.depth, SAME_DEPTH * reach.size - best)
+        for patch in range(MAX_PATCHES):
+            if patches[patch].count > 0 and patches[patch].gap < -reach.depth:
+                patches[patch].count = 0
+    top = start_traversal(pending, 0, pair.own)
+    leaf = next_leaf_in_box(pending, 0, top, geometries, pair.own, still, box)
+    while leaf.end_face > leaf.first_face:
+        for face in range(leaf.first_face, leaf.end_face):
+            add_curved_on_face(geometries, features, pair, face, reach, supports, patches, candidates)
         leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)

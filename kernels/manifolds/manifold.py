@@ -28,7 +28,6 @@ from warpcontact.kernels.manifolds.candidates import (
     Candidate,
     Patch,
 )
-from warpcontact.kernels.manifolds.capsules import capsule_manifold
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex import NO_REFERENCE, add_vertices_below, convex_manifold
 from warpcontact.kernels.manifolds.curved import (
@@ -38,6 +37,7 @@ from warpcontact.kernels.manifolds.curved import (
     add_curved_above,
     curved_manifold,
 )
+from warpcontact.kernels.manifolds.curved_pairs import curved_pair_manifold
 from warpcontact.kernels.manifolds.face_clipping import CLIPPED_CORNERS, ClippedCorner
 from warpcontact.kernels.manifolds.features import Features
 from warpcontact.kernels.manifolds.meshes import mesh_manifold
@@ -162,14 +162,17 @@ def clear_points_of(real: type) -> wp.Function:
 
 
 @functools.cache
-def find_manifolds(real: type, has_convex: bool, has_meshes: bool, has_curved: bool) -> wp.Kernel:
+def find_manifolds(
+    real: type, has_convex: bool, has_meshes: bool, has_curved: bool, has_curved_pairs: bool
+) -> wp.Kernel:
     """Returns the kernel that finds the manifolds of nonsmooth pairs; items: these pairs.
 
     Args:
         real: Precision of the state.
         has_convex: Whether there are pairs of convex polyhedra.
         has_meshes: Whether there are other pairs of polyhedra, without half-spaces.
-        has_curved: Whether there are pairs with a curved solid.
+        has_curved: Whether there are curved solids on half-spaces.
+        has_curved_pairs: Whether there are other pairs with a curved solid.
     """
     t = structs(real)
     Model, State = t.Model, t.State
@@ -399,13 +402,16 @@ def find_manifolds(real: type, has_convex: bool, has_meshes: bool, has_curved: b
                                 first, second.first_plane, pose.first_in_second, setting.kappa, reach, supports,
                                 patches, candidates,
                             )  # fmt: skip
-                        elif kind == BOTH_CURVED:
+                    if wp.static(has_curved_pairs):
+                        if kind == BOTH_CURVED:
                             share = double(0.5)
-                            capsule_manifold(
+                            curved_pair_manifold(
                                 first, second, pose.first_in_second, setting.kappa, reach, patches, candidates
                             )
                         elif kind == CURVED_ON_FACES:
                             curved_pair = pair_with_curved(first, second, pose.first_in_second, setting.kappa)
+                            polyhedron = wp.where(curved_pair.own_is_second, geometry_2, geometry_1)
+                            curved_pair.is_convex = features.is_convex[polyhedron] == 1
                             curved_manifold(
                                 geometries, features, curved_pair, reach, supports, pending, patches, candidates
                             )

@@ -112,34 +112,6 @@ class BodyContact:
         first, second = self.pairs[0]
         return first.body, second.body
 
-    def check_nonsmooth(self) -> None:
-        """Checks that nonsmooth contact supports all of its pairs.
-
-        Raises:
-            ValueError: If a cone or an ellipsoid is in contact with a polyhedron, or two curved solids are not spheres or
-                capsules.
-        """
-        from warpcontact.kernels.shapes.revolution import Cone
-        from warpcontact.kernels.shapes.spheres import Capsule, Ellipsoid, Sphere
-
-        remedy = f"Use a mesh, add_shape_contact, or compliant=[{self.name!r}]"
-        for pair in self.pairs:
-            kinds = [one.kind for one in pair if isinstance(one, Shape) and one.kind in curved_shapes()]
-            described = " and ".join(
-                f"{one.name!r} is a {one.kind.__name__}"
-                for one in pair
-                if isinstance(one, Shape) and one.kind in kinds
-            )
-            if len(kinds) == 2 and not all(kind in (Sphere, Capsule) for kind in kinds):
-                raise ValueError(
-                    f"{self.name}: {described}; nonsmooth contact of two curved solids supports spheres and capsules. {remedy}"
-                )
-            on_plane = isinstance(pair[1], Shape) and pair[1].kind is Plane
-            if len(kinds) == 1 and kinds[0] in (Cone, Ellipsoid) and not on_plane:
-                raise ValueError(
-                    f"{self.name}: {described}; nonsmooth contact supports cones and ellipsoids on half-spaces only. {remedy}"
-                )
-
     def parameters(self, part: str) -> dict[str, Any]:
         """Returns the parameters of one part of the material, one value or one per pair.
 

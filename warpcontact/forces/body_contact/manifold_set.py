@@ -68,7 +68,7 @@ class ManifoldSet:
                 starts.append(starts[-1] + patches * POINTS)
             self.contacts[contact] = slice(first_pair, len(numbers)), slice(first_slot, starts[-1])
         self.count, self.slot_count = len(numbers), starts[-1]
-        # Whether there are pairs of convex polyhedra, of other polyhedra, and with curved solids.
+        # Whether there are pairs of convex polyhedra, of other polyhedra, and with curved solids on half-spaces and elsewhere.
         self._kinds = tables.pair_kinds([pair for contact in contacts for pair in contact.pairs])
         self.pairs = ManifoldPairs()
         layout.constant(_PURPOSE, self.pairs, "item", numbers, wp.int32)

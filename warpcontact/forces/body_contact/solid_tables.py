@@ -142,7 +142,7 @@ class SolidTables:
         return 0.5 * (kind.upper + kind.lower) * scale, 0.5 * (kind.upper - kind.lower) * scale
 
     def has_one_patch(self, first: Solid, second: Solid) -> bool:
-        """Returns whether all points have one normal: on half-spaces, of convex polyhedra, and of spheres and capsules."""
+        """Returns whether all points have one normal: on half-spaces, of convex polyhedra, and of two curved solids."""
         geometries = [self._geometries_of(solid) for solid in (first, second)]
         if all(one in CURVED_KINDS for own in geometries for one in own):
             return True
@@ -150,23 +150,25 @@ class SolidTables:
             isinstance(one, Polyhedron) and has_convex_features(one) for own in geometries for one in own
         )
 
-    def pair_kinds(self, pairs: Sequence[tuple[Solid, Solid]]) -> tuple[bool, bool, bool]:
-        """Returns whether there are pairs of convex polyhedra, of other polyhedra, and with curved solids.
+    def pair_kinds(self, pairs: Sequence[tuple[Solid, Solid]]) -> tuple[bool, bool, bool, bool]:
+        """Returns whether there are pairs of convex polyhedra, of other polyhedra, and two kinds of pairs with curved solids.
 
-        Solids with several meshes may be of both kinds of polyhedra. Half-spaces do not count.
+        The latter are curved solids on half-spaces, and in other pairs. Solids with several meshes may be of both kinds of
+        polyhedra; polyhedra on half-spaces do not count.
         """
-        convex = meshes = curved = False
+        convex = meshes = on_half_space = curved = False
         for pair in pairs:
             geometries = [self._geometries_of(solid) for solid in pair]
             if any(one in CURVED_KINDS for own in geometries for one in own):
-                curved = True
+                on_half_space = on_half_space or geometries[1] == [Plane]
+                curved = curved or geometries[1] != [Plane]
             elif geometries[1] != [Plane]:
                 every = [
                     isinstance(one, Polyhedron) and has_convex_features(one) for own in geometries for one in own
                 ]
                 convex = convex or any(every)
                 meshes = meshes or not all(every)
-        return convex, meshes, curved
+        return convex, meshes, on_half_space, curved
 
     def _geometries_of(self, solid: Solid) -> list[Polyhedron | type[Form]]:
         first = self._first[self._numbers[solid]]

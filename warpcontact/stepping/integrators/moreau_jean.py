@@ -119,13 +119,9 @@ class MoreauJean(Integrator):
         """Checks that nonsmooth contacts have a rigid law and a friction coefficient, and compliant ones a force.
 
         Raises:
-            ValueError: If not, if a contact is swept, if a pair of solids is not supported, or if a name in ``compliant``
-                does not exist.
+            ValueError: If not, if a contact is swept, or if a name in ``compliant`` does not exist.
         """
         contacts = formulas_of(scene)
-        for body_contact in scene.body_contacts:
-            if body_contact.name not in self.compliant:
-                body_contact.check_nonsmooth()
         forces = {contact.name for contact in scene.contacts if contact.facing is not None}
         for name in self.compliant:
             if name not in contacts or name in forces:

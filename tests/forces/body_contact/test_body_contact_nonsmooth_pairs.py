@@ -1,0 +1,173 @@
+"""Nonsmooth body contact of curved solids with each other and with polyhedra: gaps, rest, rolling."""
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from convex_separation import SIZES, excess, separation, separation_along
+from nonsmooth_scenes import G, rigid
+from scipy.spatial.transform import Rotation
+
+import warpcontact as wc
+
+FORMS = {
+    "sphere": wc.shapes.Sphere(SIZES["sphere"]),
+    "capsule": wc.shapes.Capsule(*SIZES["capsule"]),
+    "cylinder": wc.shapes.Cylinder(*SIZES["cylinder"]),
+    "cone": wc.shapes.Cone(*SIZES["cone"]),
+    "ellipsoid": wc.shapes.Ellipsoid(SIZES["ellipsoid"]),
+    "box": wc.shapes.RoundedBox(SIZES["box"]),
+}
+CURVED = [name for name in FORMS if name != "box"]
+#: Half of the gap at which a point counts as closed is left [m].
+CLOSED = 1e-9
+
+
+class Still(wc.Motion):
+    """No motion, whatever the forces are."""
+
+    @wp.func
+    def displacement(p: Any, t: Any):
+        """Returns the displacement at the time ``t``."""
+        return wp.vec3d()
+
+
+def moreau_jean(**options):
+    return wc.integrators.MoreauJean(**options)
+
+
+def test_smallest_gap_is_the_separation_of_the_solids(device):
+    """Random poses of all pairs, with gaps and overlaps of 10 µm to 0.2 mm, within the margin of a pair at rest."""
+    seconds = [*FORMS, "mesh"]
+    pairs = list(itertools.product(CURVED, seconds))
+    wanted = np.array([-2e-4, -1e-5, 1e-5, 5e-5])
+    scene = wc.Scene()
+    for i, (one, other) in enumerate(pairs):
+        body = scene.add_body(1.0, (0.01,) * 3, name=f"body{i}", motion=Still())
+        solid = scene.add_shape(body, FORMS[one])
+        if other == "mesh":
+            below = scene.add_surface(wc.meshes.box(2 * np.array(SIZES["box"])))
+        else:
+            below = scene.add_shape(None, FORMS[other])
+        scene.add_body_contact(solid, below, rigid(mu=0.5), name=f"touch{i}")
+    model = scene.build(envs=len(wanted), device=device, precision="float64")
+    rng = np.random.default_rng(3)
+    expected = np.empty((len(pairs), len(wanted)))
+    normals, places = np.empty((len(pairs), len(wanted), 3)), []
+    for i, (one, other) in enumerate(pairs):
+        kind = "box" if other == "mesh" else other
+        turns = Rotation.random(len(wanted), random_state=i)
+        positions = rng.normal(size=(len(wanted), 3))
+        for env, turn in enumerate(turns):
+            # From far away towards the other solid, along the normal.
+            position = 0.5 * positions[env] / np.linalg.norm(positions[env])
+            for _ in range(2):
+                gap, normal = separation(one, kind, position, turn.as_matrix())
+                position = position + (wanted[env] - gap) * normal
+            expected[i, env], normals[i, env] = separation(one, kind, position, turn.as_matrix())
+            positions[env] = position
+        places.append((one, kind, positions, turns.as_matrix()))
+        model[f"body{i}.position"], model[f"body{i}.orientation"] = positions, turns.as_quat()
+    wc.Simulation(model, dt=1e-3, integrator=moreau_jean()).step(1)
+    for i, (one, kind, positions, turns) in enumerate(places):
+        gaps, points = model.sensor(f"touch{i}.point_gap"), model.sensor(f"touch{i}.point")
+        contact_normals = model.sensor(f"touch{i}.normal")
+        for env, (position, turn) in enumerate(zip(positions, turns, strict=True)):
+            case = f"{pairs[i]} {env}"
+            deepest = np.nanargmin(gaps[env])
+            gap, normal = gaps[env, deepest], normals[i, env]
+            # Along normals of faces and edges of a polyhedron that differ by less than a millionth of its size, both have points.
+            slack = 3e-7 if kind == "box" else 1e-10
+            # The grid finds no larger separation.
+            assert expected[i, env] < gap + slack, case
+            if gap > 0.0 or kind == "box":
+                assert gap == pytest.approx(expected[i, env], abs=1e-5), case
+            else:
+                normal = contact_normals[env]
+                along = separation_along(one, kind, position, turn, normal[None])
+                assert along == pytest.approx(gap, abs=1e-10), case
+            # Both points are on their solids, so that the solids are not farther apart. The normal of the grid is less exact.
+            on_second = points[env, deepest] - 0.5 * gap * normal
+            on_first = turn.T @ (points[env, deepest] + 0.5 * gap * normal - position)
+            tolerance = 1e-9 if kind != "box" and gap < 0.0 else 2e-4 * 0.2
+            assert abs(excess(kind, on_second)) < tolerance, case
+            assert abs(excess(one, on_first)) < tolerance, case
+
+
+RADIUS, HALF, MASS = 0.1, 0.15, 5.0
+#: Moments of inertia of a cylinder of these sizes across and along its axis, over its mass.
+ACROSS, ALONG = (3 * RADIUS**2 + (2 * HALF) ** 2) / 12, RADIUS**2 / 2
+LYING = Rotation.from_rotvec([np.pi / 2, 0, 0])
+
+
+def rest_scene():
+    """Cylinders on cylinders, standing, lying and crossed, cones, ellipsoids and capsules on boxes, meshes and cylinders.
+
+    Returns the scene and for each body its start and the position of its center at rest, with NaN where friction decides.
+    """
+    scene = wc.Scene(gravity=(0, 0, -G))
+    cylinder = wc.shapes.Cylinder(RADIUS, HALF)
+    groove = np.sqrt((2 * RADIUS) ** 2 - 0.12**2)
+    cone = wc.shapes.Cone(RADIUS, 0.2)
+    ellipsoid = wc.shapes.Ellipsoid((0.12, 0.1, 0.05))
+    table, box = wc.meshes.box((1.0, 1.0, 0.2)), wc.shapes.RoundedBox((0.5, 0.5, 0.1))
+    lying = LYING.as_quat()
+    upright = (0.0, 0.0, 0.0, 1.0)
+    # Form, its offset along z from the center of mass, orientation, place at rest, and solids below it: forms and places.
+    cases = {
+        "standing": (cylinder, 0.0, upright, (0.03, 0.02, 2 * HALF), [(cylinder, upright, (0, 0, 0))]),
+        "offset": (cylinder, 0.0, upright, (0.09, 0, 2 * HALF), [(cylinder, upright, (0, 0, 0))]),
+        "lying": (cylinder, 0.0, lying, (0, 0, groove), [(cylinder, lying, (x, 0.05, 0)) for x in (-0.12, 0.12)]),
+        "on_end": (cylinder, 0.0, lying, (0, 0.02, HALF + RADIUS), [(cylinder, upright, (0, 0, 0))]),
+        "cone_on_box": (cone, -0.05, upright, (0, 0, 0.15), [(box, upright, (0, 0, 0))]),
+        "cone_on_mesh": (cone, -0.05, upright, (0, 0, 0.15), [(table, upright, (0, 0, 0))]),
+        "cone_on_cylinder": (cone, -0.05, upright, (0.02, 0, HALF + 0.05), [(cylinder, upright, (0, 0, 0))]),
+        "ellipsoid": (ellipsoid, 0.0, upright, (0, 0, 0.15), [(box, upright, (0, 0, 0))]),
+        "ellipsoid_on_mesh": (ellipsoid, 0.0, upright, (0, 0, 0.15), [(table, upright, (0, 0, 0))]),
+        "capsule": (wc.shapes.Capsule(RADIUS, HALF), 0.0, lying, (0, 0.02, HALF + RADIUS), [(cylinder, upright, (0, 0, 0))]),
+    }  # fmt: skip
+    for number, (name, (form, offset, orientation, place, below)) in enumerate(cases.items()):
+        shift = np.array([2.0 * number, 0, 0])
+        inertia = MASS * np.array([ACROSS, ACROSS, ALONG])
+        body = scene.add_body(MASS, inertia, position=shift + place, orientation=orientation, name=name)
+        solid = scene.add_shape(body, form, position=(0, 0, offset))
+        others = []
+        for other, turn, at in below:
+            if isinstance(other, wc.Mesh):
+                others.append(scene.add_surface(other, position=shift + at, orientation=turn))
+            else:
+                others.append(scene.add_shape(None, other, position=shift + at, orientation=turn))
+        scene.add_body_contact(solid, others, rigid(mu=0.5), name=f"{name}_touch")
+    return scene, {name: case[3] for name, case in cases.items()}
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_curved_solids_rest_on_each_other(precision, device):
+    """Each starts at rest, and dropped by 1 mm with a tilt of 1°, and ends at its height in closed form."""
+    scene, places = rest_scene()
+    model = scene.build(envs=2, device=device, precision=precision)
+    tilt = Rotation.from_rotvec([0.01, 0.014, 0.0])
+    for name in places:
+        start, turn = model[f"{name}.position"][0], Rotation.from_quat(model[f"{name}.orientation"][0])
+        model[f"{name}.position"] = np.stack([start, start + [0, 0, 1e-3]])
+        model[f"{name}.orientation"] = np.stack([turn.as_quat(), (tilt * turn).as_quat()])
+    sim = wc.Simulation(model, dt=2e-3, integrator=moreau_jean())
+    sim.step(1000)
+    before = {name: model.sensor(f"{name}.position") for name in places}
+    sim.step(250)
+    # A gap of 1 µm counts as closed in float32, and positions are rounded to 1e-6 m up to 20 m away.
+    height, speed = (CLOSED, 1e-7) if precision == "float64" else (3e-6, 1e-6)
+    for number, (name, place) in enumerate(places.items()):
+        position = model.sensor(f"{name}.position")
+        np.testing.assert_allclose(position[0], place + np.array([2.0 * number, 0, 0]), atol=height, err_msg=name)
+        np.testing.assert_allclose(position[1, 2], place[2], atol=1e-4, err_msg=name)
+        if name.startswith("ellipsoid"):
+            # It rocks on one point without losses.
+            continue
+        np.testing.assert_allclose(position, before[name], atol=1e-8 if precision == "float64" else 1e-6, err_msg=name)
+        assert np.abs(model.sensor(f"{name}.linear_velocity")).max() < speed, name
+        assert np.abs(model.sensor(f"{name}.angular_velocity")).max() < speed, name
+        force = model.sensor(f"{name}_touch.force").reshape(2, -1, 3)[..., 2].sum(axis=1)
+        np.testing.assert_allclose(force, MASS * G, rtol=1e-6 if precision == "float64" else 1e-4, err_msg=name)
