@@ -301,7 +301,17 @@ def add_point_of_end(
     other_number = plane_feature(other.first_point)
     if own_is_first:
         add_pair_of_points(
-            position, on_other, -height, own_number, other_number, normal, kappa, margin, patches, candidates, patch
+            position,
+            on_other,
+            -height,
+            own_number,
+            other_number,
+            normal,
+            kappa,
+            margin,
+            patches,
+            candidates,
+            patch,
         )
     else:
         add_pair_of_points(

@@ -464,7 +464,7 @@ def functions(A: type[Shape], B: type[Shape]) -> Functions:
         result.point_b = separation.point_b + slide_b
         if wp.static(kink_count > 0):
             for i in range(wp.static(kink_count)):
-                if wp.static(i < kink_count_a):
+                if i < kink_count_a:
                     result.point_a -= signs[i] * separation.kinks[i]
                 else:
                     result.point_b += signs[i] * separation.kinks[i]

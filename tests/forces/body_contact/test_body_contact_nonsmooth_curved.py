@@ -223,22 +223,8 @@ def test_capsules_and_spheres_rest_on_capsules(device):
     assert (forces[1:, :, 2] > 1.0).sum(axis=1).tolist() == [1, 1]
 
 
-def test_cones_on_boxes_are_refused():
-    scene = scene_of([wc.shapes.Cone(0.1, 0.3)], [lambda scene: add_floor(scene, "box")])
-    model = scene.build(device="cpu")
-    with pytest.raises(ValueError, match=r"touch0: 'shape0' is a Cone; nonsmooth contact supports cones"):
-        wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean())
-
-
-def test_pairs_of_cylinders_are_refused():
-    floors = [lambda scene: scene.add_shape(None, SHAPES["cylinder"], name="other")]
-    model = scene_of([SHAPES["cylinder"]], floors).build(device="cpu")
-    with pytest.raises(ValueError, match=r"touch0: 'shape0' is a Cylinder and 'other' is a Cylinder; nonsmooth"):
-        wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean())
-
-
 def pile_of_solids(device):
-    """Boxes, a cylinder, a capsule and a sphere above each other over a floor with four walls; without pairs of curved solids."""
+    """Boxes, a cylinder, a capsule and a cone above each other over a floor with four walls."""
     scene = wc.Scene(gravity=(0, 0, -G))
     material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e8))
     turns = [[0, 0, 0], [0, -np.pi / 2, 0], [0, np.pi / 2, 0], [np.pi / 2, 0, 0], [-np.pi / 2, 0, 0]]
@@ -248,15 +234,20 @@ def pile_of_solids(device):
         for place, turn in zip(places, turns, strict=True)
     ]
     box = wc.shapes.RoundedBox((0.05, 0.07, 0.04))
-    forms = [box, wc.shapes.Cylinder(0.05, 0.06), box, wc.shapes.Capsule(0.04, 0.05), box, wc.shapes.Sphere(0.06)]
+    forms = [
+        box,
+        wc.shapes.Cylinder(0.05, 0.06),
+        box,
+        wc.shapes.Capsule(0.04, 0.05),
+        wc.shapes.Cone(0.06, 0.1),
+        box,
+    ]
     solids = []
     for number, form in enumerate(forms):
         body = scene.add_body(2.0, (4e-3,) * 3, position=(0, 0, 0.12 + 0.2 * number), name=f"body{number}")
         solids.append(scene.add_shape(body, form))
-    curved = [solid for solid, form in zip(solids, forms, strict=True) if form is not box]
-    pairs = [(one, other) for one in curved for other in curved if one is not other]
     scene.add_body_contact(solids, walls, material, name="walls")
-    scene.add_body_contact(solids, material, exclude=pairs, name="parts")
+    scene.add_body_contact(solids, material, name="parts")
     model = scene.build(envs=4, device=device, precision="float64")
     for number in range(len(forms)):
         model[f"body{number}.orientation"] = Rotation.random(4, random_state=number).as_quat()
