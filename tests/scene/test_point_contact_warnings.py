@@ -62,7 +62,6 @@ def test_one_warning_names_the_first_contacts_of_vertices_and_counts_the_others(
         (shapes.Capsule(0.1, 0.1), shapes.Capsule(0.1, 0.1), {}, False),
         (shapes.Sphere(0.1), shapes.Plane(), {}, False),
         (shapes.Ellipsoid((0.1, 0.2, 0.3)), BOX, {}, False),
-        (shapes.RoundedBox((0.1, 0.1, 0.1), radius=0.01), shapes.Plane(), {}, False),
         (BOX, shapes.Plane(), {"torsion": wc.friction.Coulomb(mu=0.1)}, False),
     ],
     ids=[
@@ -73,7 +72,6 @@ def test_one_warning_names_the_first_contacts_of_vertices_and_counts_the_others(
         "capsules",
         "sphere",
         "ellipsoid on a box",
-        "rounded edges",
         "material of one point",
     ],
 )
@@ -90,6 +88,22 @@ def test_shape_contact_of_flat_faces_is_warned_of_if_body_contact_supports_it(fo
             "touch: shape contact has one contact point, so that solids do not come to rest"
         )
         assert "add_body_contact" in found[0]
+
+
+@pytest.mark.parametrize(
+    ("other", "warns"),
+    [(shapes.Plane(), True), (BOX, True), (shapes.Sphere(0.1), False)],
+    ids=["plane", "box", "sphere"],
+)
+def test_shape_contact_of_boxes_with_rounded_edges_is_warned_of_on_flat_faces(other, warns):
+    scene = wc.Scene()
+    rounded = scene.add_shape(*bodies(scene, 1), shapes.RoundedBox((0.1, 0.1, 0.1), radius=0.01))
+    scene.add_shape_contact(rounded, scene.add_shape(None, other), HOOKE, name="touch")
+    found = warnings_of(scene)
+    assert len(found) == warns
+    if warns:
+        assert "boxes with rounded edges do not come to rest" in found[0]
+        assert "add_body_contact, with boxes of radius 0 or closed meshes" in found[0]
 
 
 def test_shape_contact_of_sets_is_not_warned_of_because_body_contact_has_no_sets():

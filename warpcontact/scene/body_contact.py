@@ -348,7 +348,7 @@ def _check_solid(label: str, solid: Solid) -> None:
     if solid.kind is RoundedBox and solid.sizes["radius"].any():
         raise ValueError(
             f"{label}: box {solid.name!r} has rounded edges, of radius {solid.sizes['radius'].max():g} m; body contact "
-            "needs a radius of 0"
+            "needs a radius of 0, or a closed mesh; add_shape_contact supports rounded edges, at one point"
         )
 
 
