@@ -293,7 +293,7 @@ def add_edge(
     other_feature = support_feature(other, curved_frame, -normal)
     if other_feature.kind == FLAT_END:
         if wp.length(wp.cross(other_feature.axis, normal)) <= PERPENDICULAR:
-            # The flat end is the reference of a face beside the edge.
+            # The flat end is the reference of a face next to the edge.
             return gap
     on_own = moved(second_frame, place)
     on_other = moved(second_frame, on_curved)

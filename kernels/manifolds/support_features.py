@@ -195,7 +195,7 @@ def add_end_on_line(
     candidates: wp.array(dtype=Candidate),
     patch: int,
 ):
-    """Adds the contact of an end of a line with the other line as a candidate if it is beside the line.
+    """Adds the contact of an end of a line with the other line as a candidate if it is next to the line.
 
     The gap is that of two circles with the radii of curvature of both lines.
     """

@@ -87,8 +87,8 @@ def separation(first, second, position, rotation):
     Args:
         first: Kind of the first solid.
         second: Kind of the second one, at the origin.
-        position: Of the first solid (3,) [m].
-        rotation: Of the first solid (3, 3).
+        position: Position of the first solid (3,) [m].
+        rotation: Rotation matrix of the first solid (3, 3).
     """
 
     def gaps(n):

@@ -120,7 +120,8 @@ def test_rigid_grippers_hold_parts_that_are_shaken(solver, seconds, precision, d
             model[f"{name}.external_force"] = -np.outer(grip_forces(count), outward)
     dt = 4e-3
     sim = wc.Simulation(model, dt=dt, integrator=wc.integrators.MoreauJean(solver=solver))
-    limit = 1e-8 if precision == "float64" else 1e-5 * seconds
+    # In float32 the solver leaves 1e-5 of g h = 0.04 m/s, at arms of 0.02 m.
+    limit, spin = (1e-8, 1e-6) if precision == "float64" else (1e-5 * seconds, 2e-5)
     for step in range(round(seconds / dt)):
         shaking = -MASS * AMPLITUDE * RATE**2 * np.cos(RATE * (step + 0.5) * dt)
         for count in COUNTS:
@@ -134,7 +135,7 @@ def test_rigid_grippers_hold_parts_that_are_shaken(solver, seconds, precision, d
         height, turn = in_gripper(model, count)
         assert np.abs(height[HELD]).max() < limit
         assert turn[HELD].max() < 10 * limit
-        assert np.abs(model.sensor(f"part{count}.angular_velocity")[HELD]).max() < 1e-6
+        assert np.abs(model.sensor(f"part{count}.angular_velocity")[HELD]).max() < spin
         assert height[0] < -1e-4
     assert not model.sensor("scene.solve_failures")[HELD].any()
 

@@ -26,7 +26,7 @@ CLOSED = 1e-9
 
 
 class Still(wc.Motion):
-    """No motion, whatever the forces are."""
+    """No motion under any forces."""
 
     @wp.func
     def displacement(p: Any, t: Any):
