@@ -1,8 +1,14 @@
-"""Quick and release builds of a kernel give bitwise identical results."""
+"""Quick and release builds of a kernel give bitwise identical results, and have one identifier each."""
 
 import numpy as np
 import warp as wp
+from warp._src.context import ModuleBuilder, ModuleHasher
 from warpcontact.kernels.lowlevel.unique_kernel import QUICK_OPTIONS, RELEASE_OPTIONS
+from warpcontact.kernels.shapes import narrow_phase
+from warpcontact.kernels.shapes.revolution import Cylinder
+from warpcontact.kernels.shapes.rounded_box import RoundedBox
+
+from warpcontact.system import kernel_builds
 
 
 @wp.func
@@ -32,3 +38,14 @@ def test_results_do_not_depend_on_the_build():
         found.append(results.numpy())
     np.testing.assert_array_equal(*found)
     np.testing.assert_allclose(found[0][0], values.astype(float) ** 2, rtol=2e-7)
+
+
+def test_identifier_of_a_kernel_of_shapes_is_the_same_after_its_code_was_generated():
+    """Otherwise its release build, which is generated after the quick one, is refused."""
+    kernel = narrow_phase.kernel(Cylinder, RoundedBox, wp.float64, False, False)
+    module = kernel.module
+    dim = kernel_builds._BLOCK_DIM
+    before = module.get_module_hash(dim)
+    options = module.resolved_options[dim]
+    ModuleBuilder(module, options, hasher=module.hashers[dim]).codegen("cpu")
+    assert ModuleHasher([kernel], options).get_hash() == before
