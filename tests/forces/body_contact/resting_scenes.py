@@ -1,6 +1,6 @@
 """Scenes of bodies at rest, with their statics, for tests of compliant and nonsmooth body contact.
 
-Each function takes a function ``material(mass)``, the material of a contact whose slip moves ``mass`` [kg].
+Each function takes a function ``material(name)`` of the body that is in contact.
 """
 
 from dataclasses import dataclass
@@ -94,27 +94,27 @@ def parts_on_floor(floor, material, names, *, gap=0.0):
             solid = scene.add_surface(part.solid, body)
         else:
             solid = scene.add_shape(body, part.solid, position=part.offset)
-        scene.add_body_contact(solid, ground, material(1.0), name=f"{name}_touch")
+        scene.add_body_contact(solid, ground, material(name), name=f"{name}_touch")
     return scene
 
 
-def add_box(scene, height, name, *, below, place=(0.0, 0.0), mesh=False, material):
+def add_box(scene, height, name, *, below, place=(0.0, 0.0), mesh=False, material, side=SIDE):
     """Adds a cube of 1 kg in the contact ``<name>_on`` with solids below it; returns its solid."""
-    body = scene.add_body(mass=1.0, inertia=[SIDE**2 / 6] * 3, position=(*place, height + SIDE / 2), name=name)
+    body = scene.add_body(mass=1.0, inertia=[side**2 / 6] * 3, position=(*place, height + side / 2), name=name)
     if mesh:
-        solid = scene.add_surface(wc.meshes.box((SIDE,) * 3), body, name=f"{name}_solid")
+        solid = scene.add_surface(wc.meshes.box((side,) * 3), body, name=f"{name}_solid")
     else:
-        solid = scene.add_shape(body, wc.shapes.RoundedBox((SIDE / 2,) * 3), name=f"{name}_solid")
-    scene.add_body_contact(solid, below, material(1.0), name=f"{name}_on")
+        solid = scene.add_shape(body, wc.shapes.RoundedBox((side / 2,) * 3), name=f"{name}_solid")
+    scene.add_body_contact(solid, below, material(name), name=f"{name}_on")
     return solid
 
 
-def tower(count, floor, material, *, gap=0.0):
+def tower(count, floor, material, *, gap=0.0, side=SIDE):
     """Returns the scene of cubes ``box_i`` above each other, with gaps."""
     scene = wc.Scene(gravity=(0, 0, -GRAVITY))
     below = add_floor(scene, floor)
     for i in range(count):
-        below = add_box(scene, i * SIDE + (i + 1) * gap, f"box_{i}", below=below, material=material)
+        below = add_box(scene, i * side + (i + 1) * gap, f"box_{i}", below=below, material=material, side=side)
     return scene
 
 
@@ -122,16 +122,16 @@ def tower(count, floor, material, *, gap=0.0):
 STACKS = ("aligned", "offset", "turned", "unequal")
 
 
-def vary_stacks(model, count, gap=0.0):
+def vary_stacks(model, count, *, gap=0.0, side=SIDE):
     """Sets the environments of a tower to ``STACKS``, at rest without depth.
 
     Returns:
         Sides [m], masses [kg] and turns about the vertical [rad], each (count, stacks).
     """
     number = np.arange(count)
-    sides = np.full((count, len(STACKS)), SIDE)
-    sides[:, 3] = SIDE * np.array([1.2, 0.9, 1.1, 0.8, 1.0, 0.85, 0.7, 0.8, 0.6, 0.7])[:count]
-    masses = (sides / SIDE) ** 3
+    sides = np.full((count, len(STACKS)), side)
+    sides[:, 3] = side * np.array([1.2, 0.9, 1.1, 0.8, 1.0, 0.85, 0.7, 0.8, 0.6, 0.7])[:count]
+    masses = (sides / side) ** 3
     turns = np.zeros_like(sides)
     turns[:, 2] = 0.3 * number
     turns[:, 3] = 0.1 * number
@@ -139,7 +139,7 @@ def vary_stacks(model, count, gap=0.0):
     for i in range(count):
         name = f"box_{i}"
         places = np.zeros((len(STACKS), 3))
-        places[1, :2] = 0.05 * SIDE * np.array([i % 3, i % 2])
+        places[1, :2] = 0.02 * side * np.array([i % 3, i % 2])
         places[:, 2] = bottoms[i] + sides[i] / 2
         model[f"{name}.position"] = places
         model[f"{name}.orientation"] = Rotation.from_rotvec(turns[i][:, None] * [0.0, 0.0, 1.0]).as_quat()
@@ -198,8 +198,8 @@ def arch(floor, material):
         )
         solids.append(scene.add_surface(mesh, body))
     apart = [(a, b) for i, a in enumerate(solids) for b in solids[i + 2 :]]
-    scene.add_body_contact(solids, material(0.25), name="joints", exclude=apart)
-    scene.add_body_contact([solids[0], solids[-1]], ground, material(0.25), name="feet")
+    scene.add_body_contact(solids, material("wedge"), name="joints", exclude=apart)
+    scene.add_body_contact([solids[0], solids[-1]], ground, material("wedge"), name="feet")
     return scene
 
 

@@ -25,7 +25,7 @@ durations = pytest.mark.parametrize("seconds", [1.0, pytest.param(60.0, marks=py
 both_precisions = pytest.mark.parametrize("precision", ["float64", "float32"])
 
 
-def material(mass):
+def material(name):
     """Returns the material of all contacts."""
     return rigid(mu=MU)
 
@@ -92,7 +92,7 @@ def test_stacks_of_ten_boxes_rest(solver, precision, seconds, device):
     count, gap = 10, 1e-3
     scene = scenes.tower(count, "half-space", material, gap=gap)
     model = scene.build(envs=len(scenes.STACKS), device=device, precision=precision)
-    sides, masses, _ = scenes.vary_stacks(model, count, gap)
+    sides, masses, _ = scenes.vary_stacks(model, count, gap=gap)
     model.reset()
     sim = simulation(model, solver=solver)
     sim.step(500)
