@@ -206,24 +206,22 @@ def arch(floor, material):
 def thrust_range():
     """Returns the smallest and largest horizontal force on a support of the arch that statics allow [N].
 
-    The force on each joint acts within the joint: its moment has opposite signs about the two ends. Half of the weight is on each
-    foot, at an unknown place.
+    The force on each joint acts within the joint: its moment has opposite signs about the two ends.
     """
     angles = -np.pi / 2 + np.pi / WEDGES * np.arange(WEDGES + 1)
     middles = arch_radius() * np.sin((angles[:-1] + angles[1:]) / 2)
-    vertical = WEDGES * GRAVITY / 2
-    # Conditions on the thrust and the place of the left reaction, at z = 0. The moments about (x, z) of the forces on the wedges
-    # from the left support to a joint are −z H + (x − p) V − Σ g (x − xᵢ), at least 0 for the inner end and at most 0 for the outer one.
-    bounds = []
+    # Unknowns are the thrust H, the left reaction V, and its moment p V for its place p at z = 0. The moments about (x, z) of the
+    # forces on the wedges from the left support to a joint are −z H + x V − p V − Σ g (x − xᵢ), at least 0 for the inner end and at
+    # most 0 for the outer one.
+    rows, limits = [], []
     for j, angle in enumerate(angles):
         for sign, end in ((-1, INNER), (1, OUTER)):
             x, z = end * np.sin(angle), end * np.cos(angle)
-            constant = vertical * x - GRAVITY * (x - middles[:j]).sum()
-            bounds.append((-sign * z, -sign * vertical, -sign * constant))
-    rows = np.array(bounds)
+            rows.append((-sign * z, sign * x, -sign))
+            limits.append(sign * GRAVITY * (x - middles[:j]).sum())
     ends = []
     for direction in (1.0, -1.0):
-        found = linprog([direction, 0.0], A_ub=rows[:, :2], b_ub=rows[:, 2], bounds=[(0, None), (None, None)])
+        found = linprog([direction, 0.0, 0.0], A_ub=rows, b_ub=limits, bounds=[(0, None), (0, None), (None, None)])
         assert found.success, found.message
         ends.append(found.x[0])
     return ends
