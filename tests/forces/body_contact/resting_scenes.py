@@ -122,8 +122,8 @@ def tower(count, floor, material, *, gap=0.0, side=SIDE):
 STACKS = ("aligned", "offset", "turned", "unequal")
 
 
-def vary_stacks(model, count, *, gap=0.0, side=SIDE):
-    """Sets the environments of a tower to ``STACKS``, at rest without depth.
+def vary_stacks(model, count, *, gap=0.0, side=SIDE, offset=0.05):
+    """Sets the environments of a tower to ``STACKS``, at rest without depth; offsets are multiples of ``offset`` × ``side``.
 
     Returns:
         Sides [m], masses [kg] and turns about the vertical [rad], each (count, stacks).
@@ -139,7 +139,7 @@ def vary_stacks(model, count, *, gap=0.0, side=SIDE):
     for i in range(count):
         name = f"box_{i}"
         places = np.zeros((len(STACKS), 3))
-        places[1, :2] = 0.02 * side * np.array([i % 3, i % 2])
+        places[1, :2] = offset * side * np.array([i % 3, i % 2])
         places[:, 2] = bottoms[i] + sides[i] / 2
         model[f"{name}.position"] = places
         model[f"{name}.orientation"] = Rotation.from_rotvec(turns[i][:, None] * [0.0, 0.0, 1.0]).as_quat()

@@ -225,7 +225,7 @@ def test_stacks_of_ten_boxes_rest(floor, precision, seconds, device):
         count, floor, lambda name: foundation(stiffness, damping=6.0, stick=2e3, mass=0.25), side=side
     )
     model = scene.build(envs=len(scenes.STACKS), device=device, precision=precision)
-    sides, masses, turns = scenes.vary_stacks(model, count, side=side)
+    sides, masses, turns = scenes.vary_stacks(model, count, side=side, offset=0.02)
     model.reset()
     sim = wc.Simulation(model, dt=dt)
     assert sim.check() == []
