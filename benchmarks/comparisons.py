@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import benchmark_scenes
+import body_contact_benchmark_scenes
 import nonsmooth_benchmark_scenes
-from engines import ENGINES, NONSMOOTH_ENGINES, Engine
+from engines import BODY_CONTACT_ENGINES, ENGINES, NONSMOOTH_ENGINES, Engine
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,10 @@ COMPARISONS = {
     "nonsmooth": Comparison(
         nonsmooth_benchmark_scenes.SCENES, NONSMOOTH_ENGINES, "NonsmoothRun", nonsmooth_benchmark_scenes.STEPS, ["table8", "stack8"],
         [4096], [4096, 131072],
+    ),
+    "bodies": Comparison(
+        body_contact_benchmark_scenes.SCENES, BODY_CONTACT_ENGINES, "BodyContactRun", body_contact_benchmark_scenes.STEPS, ["W4", "W5"],
+        [64], [1024, 4096, 16384],
     ),
 }  # fmt: skip
 

@@ -1,9 +1,10 @@
 """Engines of the comparisons: one module per engine.
 
-A module imports its engine, NumPy, ``benchmark_scenes`` and ``nonsmooth_benchmark_scenes`` only. It has
+A module imports its engine, NumPy and the modules of benchmark scenes only. It has
 
 * ``PACKAGES``: packages whose versions are reported;
-* ``Run(scene, envs, device, threads, variant)`` and, for nonsmooth contact, ``NonsmoothRun``: a run ready to start,
+* ``Run(scene, envs, device, threads, variant)``, for nonsmooth contact ``NonsmoothRun``, and for body contact
+  ``BodyContactRun``: a run ready to start,
   with ``reset()`` (return to the initial state), ``step(count)``, ``wait()`` (until the device is idle),
   ``sanity(steps)`` (figures that show whether a run of ``steps`` steps is physical; called after the last run) and
   ``notes()`` (remarks on a run, such as overflows).
@@ -44,4 +45,13 @@ NONSMOOTH_ENGINES = {
     "warpcontact-accelerated": Engine("warpcontact", cpu=False, cuda=False, variant="accelerated"),
     "mujoco-elliptic": Engine("mujoco", cuda=False, variant="elliptic"),
     "mujoco-pyramidal": Engine("mujoco", cuda=False, variant="pyramidal"),
+}
+#: Body contact. The variants are methods of contact and solvers.
+BODY_CONTACT_ENGINES = {
+    "warpcontact": Engine("warpcontact", variant="nonsmooth"),
+    "warpcontact-compliant": Engine("warpcontact", variant="compliant"),
+    "mujoco": Engine("mujoco", cuda=False, variant="elliptic"),
+    "mujoco-warp": Engine("mujoco_warp", cpu=False),
+    "newton-mesh": Engine("newton", cpu=False, variant="mesh"),
+    "newton-hydroelastic": Engine("newton", cpu=False, variant="hydroelastic"),
 }

@@ -7,13 +7,16 @@ triangle in MuJoCo but one in total in this engine, so the MuJoCo default d = 0.
 Cones are elliptic: pyramidal ones gain energy with such soft contacts and are not faster. Contacts between spheres
 have half of k and c, because MuJoCo scales with the masses of both bodies. All other options are defaults.
 
-In the scenes of nonsmooth contact, feet are small spheres, and stiffness, damping and impedance are the defaults.
+In the scenes of nonsmooth contact, feet are small spheres, and stiffness, damping and impedance are the defaults. In those
+of body contact, bodies are boxes, cylinders and meshes with the default options, which find several contacts per pair.
 """
 
+import body_contact_benchmark_scenes
 import mujoco
 import nonsmooth_benchmark_scenes
 import numpy as np
-from benchmark_scenes import DAMPING, DT, FRICTION, GRAVITY, STIFFNESS, BenchmarkScene
+from benchmark_scenes import DAMPING, DT, FRICTION, GRAVITY, STIFFNESS, BenchmarkScene, Surface
+from body_contact_benchmark_scenes import Bin, Rolling, matrix
 from nonsmooth_benchmark_scenes import EDGE, HEIGHT, MASS, RADIUS, NonsmoothScene
 
 
@@ -23,15 +26,7 @@ def model(scene: BenchmarkScene) -> mujoco.MjModel:
     spec.option.timestep = DT
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.gravity = (0.0, 0.0, -GRAVITY)
-    surface = scene.surface
-    low, high = surface.heights.min(), surface.heights.max()
-    spec.add_hfield(
-        name="surface",
-        size=(surface.x[-1], surface.y[-1], high - low, 0.5),
-        nrow=len(surface.y),
-        ncol=len(surface.x),
-        userdata=((surface.heights.T - low) / (high - low)).ravel(),
-    )
+    low = add_height_field(spec, scene.surface)
     impedance = 0.9 if scene.points is None else 0.01
     contact = {
         "friction": (FRICTION, 0.0, 0.0),
@@ -50,11 +45,74 @@ def model(scene: BenchmarkScene) -> mujoco.MjModel:
     return spec.compile()
 
 
+def add_height_field(spec: mujoco.MjSpec, surface: Surface) -> float:
+    """Adds the height field ``"surface"``; returns its lowest height [m], at which its geom must be."""
+    low, high = surface.heights.min(), surface.heights.max()
+    spec.add_hfield(
+        name="surface",
+        size=(surface.x[-1], surface.y[-1], high - low, 0.5),
+        nrow=len(surface.y),
+        ncol=len(surface.x),
+        userdata=((surface.heights.T - low) / (high - low)).ravel(),
+    )
+    return float(low)
+
+
 def start(scene: BenchmarkScene, envs: int) -> np.ndarray:
     """Returns the initial ``qpos``, ``(envs, 7·bodies)``."""
     positions = scene.start(envs)
     upright = np.broadcast_to((1.0, 0.0, 0.0, 0.0), (*positions.shape[:2], 4))
     return np.concatenate((positions, upright), axis=-1).reshape(envs, -1)
+
+
+def body_contact_model(scene: Bin | Rolling) -> mujoco.MjModel:
+    """Returns the model of a benchmark scene of body contact, with its bodies at the origin."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = body_contact_benchmark_scenes.DT
+    spec.option.gravity = (0.0, 0.0, -GRAVITY)
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    contact = {"friction": (body_contact_benchmark_scenes.FRICTION, 0.0, 0.0), "condim": 3}
+    for center, size in scene.walls:
+        # Walls touch bodies only.
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=center, contype=1, conaffinity=0, **contact
+        )
+    if isinstance(scene, Rolling):
+        low = add_height_field(spec, scene.surface)
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="surface", pos=(0.0, 0.0, low), **contact
+        )
+    for number, part in enumerate(scene.parts):
+        body = spec.worldbody.add_body(mass=part.mass, inertia=part.inertia, explicitinertial=True)
+        body.add_freejoint()
+        if part.kind == "mesh":
+            name = f"mesh{number}"
+            spec.add_mesh(name=name, uservert=part.vertices.ravel(), userface=part.faces.ravel())
+            shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name}
+        elif part.kind == "box":
+            shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": part.size}
+        else:
+            shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": (*part.size, 0.0)}
+        body.add_geom(mass=0.0, **shape, **contact)
+    return spec.compile()
+
+
+def scalar_first(poses: np.ndarray) -> np.ndarray:
+    """Returns poses (…, 7) with quaternions (w, x, y, z) of poses with quaternions (x, y, z, w)."""
+    return poses[..., [0, 1, 2, 6, 3, 4, 5]]
+
+
+def scalar_last(poses: np.ndarray) -> np.ndarray:
+    """Returns poses (…, 7) with quaternions (x, y, z, w) of poses with quaternions (w, x, y, z)."""
+    return poses[..., [0, 1, 2, 4, 5, 6, 3]]
+
+
+def world_velocities(velocities: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Returns linear and angular velocities (envs, bodies, 6) in world axes; MuJoCo has angular ones in those of the body."""
+    turned = velocities.copy()
+    for env, body in np.ndindex(poses.shape[:2]):
+        turned[env, body, 3:] = matrix(poses[env, body, 3:]) @ velocities[env, body, 3:]
+    return turned
 
 
 def nonsmooth_model(scene: NonsmoothScene, cone: str) -> mujoco.MjModel:

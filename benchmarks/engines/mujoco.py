@@ -2,10 +2,12 @@
 
 from typing import Any
 
+import body_contact_benchmark_scenes
 import mujoco
 import mujoco.rollout
 import numpy as np
 from benchmark_scenes import BenchmarkScene, sanity
+from body_contact_benchmark_scenes import AT_REST, Bin, Rolling
 from nonsmooth_benchmark_scenes import DT, FRICTION, SAMPLES, NonsmoothScene, residual
 
 from engines import mjcf
@@ -66,6 +68,42 @@ class Run(Rollouts):
     def sanity(self, steps: int) -> dict[str, float]:
         poses = self._state[:, 1 : 1 + self._model.nq].reshape(len(self._state), self._scene.bodies, 7)
         return sanity(self._scene, poses[..., :3])
+
+
+class BodyContactRun(Rollouts):
+    """Run of a benchmark scene of body contact; see the package."""
+
+    def __init__(self, scene: Bin | Rolling, envs: int, device: str, threads: int, variant: str) -> None:
+        self._scene = scene
+        model = mjcf.body_contact_model(scene)
+        positions = mjcf.scalar_first(scene.start(envs)).reshape(envs, -1)
+        super().__init__(model, positions, scene.velocities(envs).reshape(envs, -1), threads)
+
+    def sanity(self, steps: int) -> dict[str, float]:
+        self.reset()
+        self.step(steps)
+        before, _ = self._poses()
+        self.step(AT_REST)
+        after, velocities = self._poses()
+        return body_contact_benchmark_scenes.sanity(
+            self._scene, before, after, mjcf.world_velocities(velocities, after)
+        ) | {"contacts": self._contacts()}
+
+    def _poses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the poses (envs, bodies, 7), and the velocities (envs, bodies, 6) with angular ones in body axes."""
+        bodies = len(self._scene.parts)
+        first = 1 + self._model.nq
+        poses = self._state[:, 1:first].reshape(-1, bodies, 7)
+        return mjcf.scalar_last(poses), self._state[:, first : first + self._model.nv].reshape(-1, bodies, 6)
+
+    def _contacts(self) -> float:
+        """Returns the mean number of contacts of an environment in the final state."""
+        counts = []
+        for state in self._state[:SAMPLED_ENVS]:
+            mujoco.mj_setState(self._model, self._data[0], state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+            mujoco.mj_forward(self._model, self._data[0])
+            counts.append(self._data[0].ncon)
+        return float(np.mean(counts))
 
 
 class NonsmoothRun(Rollouts):

@@ -1,13 +1,16 @@
 """warpcontact: Kelvin–Voigt contact with tanh friction, with the triangles of the surface and between spheres.
 
-In the scenes of nonsmooth contact, feet are in contact with meshes; the integrator is the Moreau–Jean scheme.
+In the scenes of nonsmooth contact, feet are in contact with meshes; the integrator is the Moreau–Jean scheme. In those of body
+contact, parts are in body contact with each other and with the walls, with impulses (nonsmooth) or pressure (compliant).
 """
 
 from typing import Any
 
+import body_contact_benchmark_scenes as bodies
 import numpy as np
 import warp as wp
 from benchmark_scenes import BenchmarkScene, sanity
+from body_contact_benchmark_scenes import AT_REST, Bin, Part, Rolling
 from nonsmooth_benchmark_scenes import DT, EDGE, FRICTION, GRAVITY, HEIGHT, MASS, RADIUS, SAMPLES, NonsmoothScene
 
 import warpcontact as wc
@@ -82,3 +85,70 @@ class NonsmoothRun(Simulated):
             "not_converged": float(model.sensor("scene.solve_failures").sum() / (steps * model.envs)),
             "speed_at_end_m_s": float(speed.max()),
         }
+
+
+class BodyContactRun(Simulated):
+    """Run of a benchmark scene of body contact; see the package. The variant is ``"nonsmooth"`` or ``"compliant"``."""
+
+    def __init__(self, scene: Bin | Rolling, envs: int, device: str, threads: int, variant: str) -> None:
+        self._scene = scene
+        declared = wc.Scene(gravity=(0.0, 0.0, -GRAVITY))
+        fixed: list[Any] = [
+            declared.add_shape(None, wc.shapes.RoundedBox(size), position=center) for center, size in scene.walls
+        ]
+        if isinstance(scene, Rolling):
+            fixed.append(declared.add_surface(wc.Mesh(scene.surface.vertices, scene.surface.faces)))
+        self._bodies = []
+        for number, part in enumerate(scene.parts):
+            body = declared.add_body(part.mass, part.inertia, name=f"part{number}")
+            _add_solid(declared, body, part)
+            self._bodies.append(body)
+        nonsmooth = variant == "nonsmooth"
+        material = (
+            wc.ContactMaterial(law=wc.laws.Rigid(), friction=wc.friction.Coulomb(mu=bodies.FRICTION))
+            if nonsmooth
+            else wc.ContactMaterial(
+                law=wc.laws.ElasticFoundation(stiffness=bodies.STIFFNESS, damping=50.0),
+                friction=wc.friction.CundallStrack(
+                    mu_static=bodies.FRICTION, mu_dynamic=bodies.FRICTION, stiffness=1e4, damping=10.0
+                ),
+            )
+        )
+        declared.add_body_contact([*self._bodies, *fixed], material, name="contact")
+        model = declared.build(envs=envs, device=device)
+        poses, velocities = scene.start(envs), scene.velocities(envs)
+        for number, body in enumerate(self._bodies):
+            model[f"{body.name}.position"] = poses[:, number, :3]
+            model[f"{body.name}.orientation"] = poses[:, number, 3:]
+            model[f"{body.name}.linear_velocity"] = velocities[:, number, :3]
+            model[f"{body.name}.angular_velocity"] = velocities[:, number, 3:]
+        integrator = wc.integrators.MoreauJean() if nonsmooth else wc.integrators.SemiImplicitEuler()
+        self._sim = wc.Simulation(model, bodies.DT, integrator, threads=threads)
+
+    def sanity(self, steps: int) -> dict[str, float]:
+        self.reset()
+        self.step(steps)
+        before, _ = self._poses()
+        self.step(AT_REST)
+        touching = self._sim.model.sensor("contact.status") == wc.ContactStatus.CONTACT
+        return bodies.sanity(self._scene, before, *self._poses()) | {"pairs": float(touching.sum(axis=-1).mean())}
+
+    def _poses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the poses (envs, bodies, 7) and velocities (envs, bodies, 6) in world axes."""
+
+        def values(*sensors: str) -> np.ndarray:
+            each = [[self._sim.model.sensor(f"{body.name}.{name}") for name in sensors] for body in self._bodies]
+            return np.stack([np.concatenate(parts, axis=-1) for parts in each], axis=1)
+
+        return values("position", "orientation"), values("linear_velocity", "angular_velocity")
+
+
+def _add_solid(scene: wc.Scene, body: wc.Body, part: Part) -> None:
+    """Adds the geometry of a part to a body."""
+    if part.kind == "mesh":
+        scene.add_surface(wc.Mesh(part.vertices, part.faces), body)
+    elif part.kind == "box":
+        scene.add_shape(body, wc.shapes.RoundedBox(part.size))
+    else:
+        radius, half_length = part.size
+        scene.add_shape(body, wc.shapes.Cylinder(radius=radius, half_length=half_length))

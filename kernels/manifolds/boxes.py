@@ -23,6 +23,15 @@ def offset_of_boxes(first: SolidGeometry, second: SolidGeometry, pose: RelativeP
 
 
 @wp.func
+def box_corner(box: SolidGeometry, direction: vec3d):
+    """Returns the corner of a box that is farthest along a direction, in its frame [m]."""
+    corner = box.center
+    for i in range(3):
+        corner[i] = corner[i] + wp.where(direction[i] < double(0.0), -box.half_extents[i], box.half_extents[i])
+    return corner
+
+
+@wp.func
 def largest_box_plane_separation(
     features: Features,
     own: SolidGeometry,

@@ -21,6 +21,9 @@ DIRECTIONS = 16
 TIE = wp.constant(double(1.0e-3))
 # Distance of candidates, relative to the size, below which they are one point.
 SAME_POINT = wp.constant(double(1.0e-6))
+# Difference of gaps, relative to the size, and relative difference of distances up to which points of the last step are preferred.
+SAME_DEPTH = wp.constant(double(1.0e-5))
+PREFERENCE = wp.constant(double(0.05))
 COSINE_STEP = wp.constant(double(0.9238795325112867))  # of 2 π/16
 SINE_STEP = wp.constant(double(0.3826834323650898))
 LARGEST = wp.constant(double(1.0e300))
@@ -43,6 +46,7 @@ class Candidate:
     position: vec3d  # K [m]
     gap: double  # negative in overlap [m]
     feature: Feature
+    was_point: wp.int32  # 1: it was a point in the last step
 
 
 @wp.func
@@ -129,8 +133,8 @@ def choose_points(
     """Chooses at most four candidates of a patch; returns their number and writes them to ``chosen``.
 
     The deepest one, of equally deep ones that farthest from their mean; the one farthest from it; the one farthest from the
-    line through both; and the one farthest from this line on its other side. Of nearly equal ones, the one with the first
-    feature.
+    line through both; and the one farthest from this line on its other side. Of nearly equal ones, a point of the last step, and
+    of these the one with the first feature.
 
     Args:
         patch: The patch.
@@ -144,11 +148,10 @@ def choose_points(
         return 0
     found = wp.int32(0)
     origin = vec3d()
-    deep = -LARGEST
+    deepest = -LARGEST
     for i in range(patch.count):
         origin += candidates[first + i].position / double(patch.count)
-        deep = wp.max(deep, -candidates[first + i].gap)
-    deep -= SAME_POINT * size
+        deepest = wp.max(deepest, -candidates[first + i].gap)
     line = vec3d()
     side = double(0.0)
     for number in range(POINTS):
@@ -156,20 +159,28 @@ def choose_points(
         largest = -LARGEST
         for i in range(patch.count):
             value = candidate_value(candidates[first + i], number, origin, line, side, n)
-            if number > 0 or -candidates[first + i].gap >= deep:
+            if number > 0 or -candidates[first + i].gap >= deepest - SAME_POINT * size:
                 largest = wp.max(largest, value)
         if number > 0 and largest <= SAME_POINT * size:
             if number == 1:
                 return found
             continue
-        limit = largest - TIE * largest
         best = wp.int32(-1)
+        best_was_point = wp.int32(0)
         for i in range(patch.count):
-            if number == 0 and -candidates[first + i].gap < deep:
+            was_point = candidates[first + i].was_point
+            limit = wp.where(was_point == 1, largest - PREFERENCE * largest, largest - TIE * largest)
+            tolerance = wp.where(was_point == 1, SAME_DEPTH, SAME_POINT) * size
+            if number == 0 and -candidates[first + i].gap < deepest - tolerance:
                 continue
-            if candidate_value(candidates[first + i], number, origin, line, side, n) >= limit:
-                if best < 0 or is_before(candidates[first + i].feature, candidates[first + best].feature):
-                    best = i
+            if candidate_value(candidates[first + i], number, origin, line, side, n) < limit:
+                continue
+            is_first = best < 0 or was_point > best_was_point
+            if was_point == best_was_point and best >= 0:
+                is_first = is_before(candidates[first + i].feature, candidates[first + best].feature)
+            if is_first:
+                best = i
+                best_was_point = was_point
         chosen[found] = first + best
         found += 1
         position = candidates[first + best].position

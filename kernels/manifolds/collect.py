@@ -3,13 +3,22 @@
 import warp as wp
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry
-from warpcontact.kernels.manifolds.candidates import Candidate, Patch, across, add_candidate
+from warpcontact.kernels.manifolds.candidates import (
+    COSINE_STEP,
+    DIRECTIONS,
+    SINE_STEP,
+    Candidate,
+    Patch,
+    across,
+    add_candidate,
+    axes_across,
+)
 from warpcontact.kernels.manifolds.face_clipping import (
     FACING,
     ClippedCorner,
-    clip_face,
+    clip_outline,
     corner_feature,
-    heights_of_face,
+    heights_of_outline,
 )
 from warpcontact.kernels.manifolds.features import Feature, Features, edge_feature, moved, vertex_position
 from warpcontact.kernels.manifolds.separation import closest_on_lines
@@ -66,24 +75,30 @@ def width_of(corners: wp.array(dtype=ClippedCorner), first: int, count: int, nor
 @wp.func
 def clip_within_reach(
     geometries: Geometries,
+    features: Features,
     side: ReferenceSide,
     reference_face: int,
+    reference_outline: int,
     other_face: int,
+    other_outline: int,
     offset: double,
     reach: Reach,
     corners: wp.array(dtype=ClippedCorner),
 ):
-    """Clips two faces unless they are apart; returns the number of corners and the index of the first.
+    """Clips two outlines unless they are apart; returns the number of corners and the index of the first.
 
     ``offset``: of the reference plane along its normal [m].
     """
     normal = geometries.normal[reference_face]
-    lowest, highest = heights_of_face(geometries, side.other, side.pose, other_face, normal, offset)
+    lowest, highest = heights_of_outline(
+        geometries, features, side.other, side.pose, other_outline, normal, offset
+    )
     if lowest > reach.margin or highest < -reach.depth:
         return 0, 0
-    count, first = clip_face(
-        geometries, side.own, reference_face, side.other, other_face, side.pose, reach.size, corners
-    )
+    count, first = clip_outline(
+        geometries, features, side.own, reference_face, reference_outline, side.other, other_face, other_outline,
+        side.pose, reach.size, corners,
+    )  # fmt: skip
     return count, first
 
 
@@ -94,7 +109,9 @@ def add_corners(
     side: ReferenceSide,
     second_frame: RelativePose,
     reference_face: int,
+    reference_outline: int,
     other_face: int,
+    other_outline: int,
     reach: Reach,
     corners: wp.array(dtype=ClippedCorner),
     first: int,
@@ -108,14 +125,33 @@ def add_corners(
     ``second_frame``: pose of the reference solid in the frame of the second solid.
     """
     normal = geometries.normal[reference_face]
-    for i in range(count):
+    u_axis, v_axis = axes_across(normal)
+    direction = u_axis
+    # Of many corners, the deepest and the extremes of some directions, as ``keep_extremes``.
+    few = count <= DIRECTIONS
+    for number in range(wp.where(few, count, DIRECTIONS + 1)):
+        i = wp.int32(number)
+        if not few:
+            largest = -double(wp.inf)
+            for k in range(count):
+                value = -corners[first + k].height
+                if number > 0:
+                    value = wp.dot(direction, corners[first + k].position)
+                if value > largest:
+                    largest = value
+                    i = k
+            if number > 0:
+                u = COSINE_STEP * wp.dot(direction, u_axis) - SINE_STEP * wp.dot(direction, v_axis)
+                v = SINE_STEP * wp.dot(direction, u_axis) + COSINE_STEP * wp.dot(direction, v_axis)
+                direction = u * u_axis + v * v_axis
         corner = corners[first + i]
         if corner.height > reach.margin or corner.height < -reach.depth:
             continue
         before = corners[first + wp.where(i == 0, count - 1, i - 1)].after
         feature = corner_feature(
-            geometries, features, reference_face, other_face, before, corner.after, side.is_second
-        )
+            features, features.face_plane[reference_face], reference_outline, features.face_plane[other_face],
+            other_outline, before, corner.after, side.is_second,
+        )  # fmt: skip
         position = corner.position - ((double(1.0) - side.kappa) * corner.height) * normal
         add_candidate(patches, candidates, patch, moved(second_frame, position), corner.height, feature)
 

@@ -21,6 +21,7 @@ from warpcontact.kernels.body_contact.surface_queries import (
     plane_offset,
 )
 from warpcontact.kernels.manifolds.boxes import (
+    box_corner,
     is_box,
     largest_box_edge_separation,
     largest_box_plane_separation,
@@ -31,14 +32,19 @@ from warpcontact.kernels.manifolds.collect import (
     ReferenceSide,
     add_corners,
     add_edges,
-    clip_within_reach,
-    faces_oppose,
 )
-from warpcontact.kernels.manifolds.face_clipping import ClippedCorner
+from warpcontact.kernels.manifolds.face_clipping import (
+    FACING,
+    ClippedCorner,
+    clip_outline,
+    low_vertices,
+    outline_box,
+)
 from warpcontact.kernels.manifolds.features import (
     Feature,
     Features,
     moved,
+    outline_of_face,
     plane_feature,
     vertex_feature,
     vertex_position,
@@ -46,6 +52,7 @@ from warpcontact.kernels.manifolds.features import (
 from warpcontact.kernels.manifolds.separation import (
     EdgeSeparation,
     PlaneSeparation,
+    face_is_nearest,
     largest_edge_separation,
     largest_plane_separation,
 )
@@ -55,11 +62,27 @@ vec3d = wp.vec3d
 
 # Values of a reference that are no face: none, and two edges.
 NO_REFERENCE, EDGES = wp.constant(0), wp.constant(-1)
+# Faces that are clipped at a time, those of a leaf at most, and planes with several faces that are not clipped twice.
+CLIPPED_FACES, LEAF_FACES, TREATED_PLANES = (wp.constant(i) for i in (32, 8, 16))
+# Cosine of two faces from which on they are nearly parallel, 6°.
+PARALLEL_FACES = wp.constant(double(0.9945))
+# Rounding of separations, relative to the size.
+ROUNDING = wp.constant(double(1.0e-12))
 # Number of vertices up to which all are compared with a plane, without the tree of faces.
 FEW_VERTICES = wp.constant(64)
 # Distances relative to the size by which the previous reference face, and faces rather than edges, are preferred.
 FACE_HYSTERESIS = wp.constant(double(2.0e-4))
 EDGE_BIAS = wp.constant(double(1.0e-3))
+
+
+@wp.struct
+class Reference:
+    """The reference of a pair of convex solids, and what it was found by."""
+
+    code: wp.int32  # from ``reference_code``, or EDGES
+    # The planes of the first and second solid with the largest separation, and the vertices of the first and second solid
+    # nearest to that of the other one; a search starts with those of the last step.
+    likely: wp.vec4i
 
 
 @wp.func
@@ -141,6 +164,97 @@ def add_vertices_below(
 
 
 @wp.func
+def add_reference_plane(
+    geometries: Geometries,
+    features: Features,
+    side: ReferenceSide,
+    second_frame: RelativePose,
+    plane: int,
+    overlap: double,
+    reach: Reach,
+    corners: wp.array(dtype=ClippedCorner),
+    pending: wp.array(dtype=wp.int32),
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds the corners of the common areas of a plane and the faces of the other solid as candidates of the first patch.
+
+    Faces that are not nearly parallel to the plane, with at most two vertices within reach, add no points to those of their
+    neighbors: of them, only the one that is most nearly parallel counts.
+
+    ``overlap``: depth of the other solid below the plane [m]. ``second_frame``: pose of the reference solid in the frame of
+    the second one.
+    """
+    reference_face = geometries.plane_face[plane]
+    normal = geometries.normal[reference_face]
+    offset = plane_offset(geometries, side.own, reference_face)
+    # Normal in the frame of the other solid.
+    along = wp.transpose(side.pose.rotation) * normal
+    for number in range(features.plane_outline_start[plane], features.plane_outline_start[plane + 1]):
+        reference_outline = features.plane_outline[number]
+        box = outline_box(geometries, features, side.own, reference_outline, reach.margin)
+        box.lower -= wp.max(overlap * normal, vec3d())
+        box.upper -= wp.min(overlap * normal, vec3d())
+        # Below the pending nodes: faces to be clipped, and planes of several faces that were treated.
+        treated = wp.int32(0)
+        steepest = wp.int32(-1)
+        least = -FACING
+        top = start_traversal(pending, CLIPPED_FACES + TREATED_PLANES, side.other)
+        is_complete = wp.bool(False)
+        while not is_complete:
+            clipped = wp.int32(0)
+            while clipped < CLIPPED_FACES - LEAF_FACES and not is_complete:
+                leaf = next_leaf_in_box(
+                    pending, CLIPPED_FACES + TREATED_PLANES, top, geometries, side.other, side.pose, box
+                )
+                top = leaf.top
+                for other_face in range(leaf.first_face, leaf.end_face):
+                    cosine = wp.dot(along, geometries.normal[other_face])
+                    if cosine >= -FACING:
+                        continue
+                    other_plane = features.face_plane[other_face]
+                    outline = outline_of_face(features, other_face)
+                    is_treated = wp.bool(False)
+                    if outline != other_face:
+                        for i in range(CLIPPED_FACES, CLIPPED_FACES + treated):
+                            is_treated = is_treated or pending[i] == other_plane
+                        if not is_treated and treated < TREATED_PLANES:
+                            pending[CLIPPED_FACES + treated] = other_plane
+                            treated += 1
+                    if is_treated:
+                        continue
+                    low = low_vertices(
+                        geometries, features, side.other, side.pose, outline, normal, offset + reach.margin
+                    )
+                    if low == 0:
+                        continue
+                    if low > 2 or cosine < -PARALLEL_FACES:
+                        pending[clipped] = other_face
+                        clipped += 1
+                        if cosine < least:
+                            least = cosine
+                            steepest = -1
+                    elif cosine < least:
+                        least = cosine
+                        steepest = other_face
+                is_complete = leaf.end_face == leaf.first_face
+            if is_complete and steepest >= 0:
+                pending[clipped] = steepest
+                clipped += 1
+            for i in range(clipped):
+                other_face = pending[i]
+                other_outline = outline_of_face(features, other_face)
+                count, start = clip_outline(
+                    geometries, features, side.own, reference_face, reference_outline, side.other, other_face,
+                    other_outline, side.pose, reach.size, corners,
+                )  # fmt: skip
+                add_corners(
+                    geometries, features, side, second_frame, reference_face, reference_outline, other_face,
+                    other_outline, reach, corners, start, count, patches, candidates, 0,
+                )  # fmt: skip
+
+
+@wp.func
 def convex_manifold(
     geometries: Geometries,
     features: Features,
@@ -151,12 +265,14 @@ def convex_manifold(
     pose: RelativePose,
     kappa: double,
     previous: int,
+    likely: wp.vec4i,
     reach: Reach,
     corners: wp.array(dtype=ClippedCorner),
+    pending: wp.array(dtype=wp.int32),
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
-    """Collects the candidates of two bounded convex solids in the first patch; returns the code of the reference.
+    """Collects the candidates of two bounded convex solids in the first patch; returns their ``Reference``.
 
     Args:
         geometries: The geometries.
@@ -167,9 +283,11 @@ def convex_manifold(
         geometry_2: Its geometry.
         pose: Pose of the first solid in the frame of the second one.
         kappa: Points are at kappa × the gap from the second solid.
-        previous: Reference of the last step.
+        previous: Code of the reference of the last step.
+        likely: Planes and vertices of the last step, see ``Reference``.
         reach: Lengths that decide which points belong to the manifold.
         corners: Working memory of ``clip_face``.
+        pending: Working memory of ``PENDING_NODES`` numbers.
         patches: The patches.
         candidates: Their candidates.
     """
@@ -178,58 +296,91 @@ def convex_manifold(
     plane_1 = previous_plane(previous, first, False)
     plane_2 = previous_plane(previous, second, True)
     are_boxes = is_box(features, geometry_1) and is_box(features, geometry_2)
+    result = Reference()
+    result.likely = likely
     second_separation = PlaneSeparation()
     first_separation = PlaneSeparation()
+    bias = EDGE_BIAS * reach.size
+    if previous == EDGES:
+        bias = double(0.5) * bias
+    is_flat = wp.bool(False)
+    # Points of both solids near the other one, in its frame.
+    position_1 = vec3d()
+    position_2 = vec3d()
     if are_boxes:
         second_separation = largest_box_plane_separation(
             features, second, geometry_2, first, pose, plane_2, hysteresis
         )
-    else:
-        second_separation = largest_plane_separation(
-            geometries, features, second, first, geometry_1, pose, plane_2, hysteresis, reach.margin
-        )
-    if second_separation.distance > reach.margin:
-        return reference_code(second_separation.plane, True)
-    if are_boxes:
         first_separation = largest_box_plane_separation(
             features, first, geometry_1, second, to_first, plane_1, hysteresis
         )
+        normal_1 = geometries.normal[geometries.plane_face[first_separation.plane]]
+        normal_2 = geometries.normal[geometries.plane_face[second_separation.plane]]
+        position_1 = moved(pose, box_corner(first, -(to_first.rotation * normal_2)))
+        position_2 = moved(to_first, box_corner(second, -(pose.rotation * normal_1)))
     else:
-        first_separation = largest_plane_separation(
-            geometries, features, first, second, geometry_2, to_first, plane_1, hysteresis, reach.margin
+        # First the solid that had the reference face, or else the second one.
+        starts_with_second = plane_1 < 0
+        for number in range(2):
+            own_is_second = starts_with_second == (number == 0)
+            own = second
+            other = first
+            other_geometry = geometry_1
+            own_pose = pose
+            preferred = plane_2
+            likely_plane = likely[1]
+            likely_vertex = likely[2]
+            if not own_is_second:
+                own = first
+                other = second
+                other_geometry = geometry_2
+                own_pose = to_first
+                preferred = plane_1
+                likely_plane = likely[0]
+                likely_vertex = likely[3]
+            found = largest_plane_separation(
+                geometries, features, own, other, other_geometry, own_pose, preferred, likely_plane, likely_vertex,
+                hysteresis, reach.margin,
+            )  # fmt: skip
+            position = moved(own_pose, vertex_position(geometries, found.vertex, other))
+            if own_is_second:
+                second_separation = found
+                position_1 = position
+                result.likely[1] = found.plane
+                result.likely[2] = found.vertex
+            else:
+                first_separation = found
+                position_2 = position
+                result.likely[0] = found.plane
+                result.likely[3] = found.vertex
+            if found.distance > reach.margin:
+                result.code = reference_code(found.plane, own_is_second)
+                return result
+            limit = found.distance + ROUNDING * reach.size
+            if number == 0 and face_is_nearest(geometries, features, own, found, position, limit):
+                # No axis has a larger separation.
+                is_flat = True
+                if own_is_second:
+                    first_separation.distance = -double(wp.inf)
+                else:
+                    second_separation.distance = -double(wp.inf)
+                break
+    if wp.max(first_separation.distance, second_separation.distance) > reach.margin:
+        is_second = second_separation.distance > reach.margin
+        result.code = reference_code(
+            wp.where(is_second, second_separation.plane, first_separation.plane), is_second
         )
-    if first_separation.distance > reach.margin:
-        return reference_code(first_separation.plane, False)
+        return result
     is_second = first_separation.distance <= second_separation.distance + hysteresis
     if plane_1 >= 0:
         is_second = second_separation.distance > first_separation.distance + hysteresis
     distance = wp.max(first_separation.distance, second_separation.distance)
-    bias = EDGE_BIAS * reach.size
-    if previous == EDGES:
-        bias = double(0.5) * bias
-    # Edges whose separation is not larger than that of the faces need no search.
-    edges_matter = wp.bool(True)
     if are_boxes:
         edge_distance = largest_box_edge_separation(first, second, pose)
         if edge_distance > reach.margin:
-            return EDGES
-        edges_matter = edge_distance > distance
-    edges = EdgeSeparation()
-    edges.edge_1 = -1
-    if edges_matter:
-        edges = largest_edge_separation(
-            geometries, features, first, geometry_1, second, geometry_2, pose, distance, reach.margin
-        )
-    patches[0].gap = double(wp.inf)
-    if edges.edge_1 >= 0 and edges.distance > reach.margin:
-        return EDGES
-    if edges.edge_1 >= 0 and edges.distance > distance + bias:
-        patches[0].normal = edges.normal
-        add_edges(
-            geometries, features, first, second, pose, edges.edge_1, edges.edge_2, edges.normal, kappa, patches,
-            candidates, 0,
-        )  # fmt: skip
-        return EDGES
+            result.code = EDGES
+            return result
+        is_flat = edge_distance <= distance
 
     side = ReferenceSide()
     second_frame = no_motion()
@@ -239,6 +390,7 @@ def convex_manifold(
     side.pose = pose
     side.kappa = kappa
     side.is_second = is_second
+    overlap = wp.max(-second_separation.distance, double(0.0))
     if not is_second:
         plane = first_separation.plane
         side.own = first
@@ -246,27 +398,51 @@ def convex_manifold(
         side.pose = to_first
         side.kappa = double(1.0) - kappa
         second_frame = pose
+        overlap = wp.max(-first_separation.distance, double(0.0))
     normal = geometries.normal[geometries.plane_face[plane]]
-    patches[0].normal = normal
-    if not is_second:
-        patches[0].normal = -(pose.rotation * normal)
-    offset = plane_offset(geometries, side.own, geometries.plane_face[plane])
-    for number in range(features.plane_start[plane], features.plane_start[plane + 1]):
-        reference_face = features.plane_face[number]
-        for other_face in range(side.other.first_face, side.other.end_face):
-            if not faces_oppose(geometries, side, reference_face, other_face):
-                continue
-            count, start = clip_within_reach(geometries, side, reference_face, other_face, offset, reach, corners)
-            add_corners(
-                geometries, features, side, second_frame, reference_face, other_face, reach, corners, start, count,
-                patches, candidates, 0,
+    edges = EdgeSeparation()
+    edges.edge_1 = -1
+    for attempt in range(2):
+        patches[0].gap = double(wp.inf)
+        # Without edges first, if their separation is not larger than that of the faces.
+        if attempt == 1 or not is_flat:
+            edges = largest_edge_separation(
+                geometries, features, first, geometry_1, second, geometry_2, pose, position_1, position_2, distance,
+                reach.margin, pending,
             )  # fmt: skip
-    if edges.edge_1 >= 0 and patches[0].count == 0:
-        # Nearly parallel edges that cross outside the common area of the faces.
-        patches[0].normal = edges.normal
-        add_edges(
-            geometries, features, first, second, pose, edges.edge_1, edges.edge_2, edges.normal, kappa, patches,
-            candidates, 0,
-        )  # fmt: skip
-        return EDGES
-    return reference_code(plane, is_second)
+            if edges.edge_1 >= 0 and edges.distance > reach.margin:
+                result.code = EDGES
+                return result
+        if edges.edge_1 < 0 or edges.distance <= distance + bias:
+            patches[0].normal = normal
+            if not is_second:
+                patches[0].normal = -(pose.rotation * normal)
+            add_reference_plane(
+                geometries,
+                features,
+                side,
+                second_frame,
+                plane,
+                overlap,
+                reach,
+                corners,
+                pending,
+                patches,
+                candidates,
+            )
+            if patches[0].count > 0:
+                result.code = reference_code(plane, is_second)
+                return result
+        if edges.edge_1 >= 0:
+            # Also nearly parallel edges that cross outside the common area of the faces.
+            patches[0].normal = edges.normal
+            add_edges(
+                geometries, features, first, second, pose, edges.edge_1, edges.edge_2, edges.normal, kappa, patches,
+                candidates, 0,
+            )  # fmt: skip
+            result.code = EDGES
+            return result
+        if not is_flat:
+            break
+    result.code = reference_code(plane, is_second)
+    return result

@@ -1,12 +1,12 @@
-"""Corners of the common area of two faces, as candidates for points.
+"""Corners of the common area of two outlines, as candidates for points.
 
-A face of the other solid is projected along the normal of a reference face and cut at its edges. Each corner is a vertex of
-the other face, a vertex of the reference face, or the crossing of an edge of one with an edge of the other.
+An outline of the other solid is projected along the normal of a reference face and cut at the edges of its outline. Each corner is
+a vertex of one of both outlines, or the crossing of an edge of one with an edge of the other.
 """
 
 import warp as wp
-from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, corner_count
-from warpcontact.kernels.body_contact.surface_queries import SolidGeometry
+from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
+from warpcontact.kernels.body_contact.surface_queries import BoundingBox, SolidGeometry
 from warpcontact.kernels.manifolds.features import (
     Feature,
     Features,
@@ -20,9 +20,10 @@ from warpcontact.kernels.manifolds.features import (
 double = wp.float64
 vec3d = wp.vec3d
 
-#: Vertices of a face, and corners of a quadrilateral that is cut by the edges of another one.
-FACE_CORNERS = 4
-CLIPPED_CORNERS = 2 * FACE_CORNERS
+#: Vertices of a face, and of an outline.
+FACE_CORNERS, OUTLINE_CORNERS = 4, 48
+#: Corners of an outline that is cut by the edges of another one.
+CLIPPED_CORNERS = 2 * OUTLINE_CORNERS
 # Cosine of two faces from which on they do not face each other: an angle of 1.15° from being normal to each other.
 FACING = wp.constant(double(0.02))
 # Distance from a cut, relative to the size, up to which a corner beyond it is inside.
@@ -31,97 +32,185 @@ ON_EDGE = wp.constant(double(1.0e-9))
 
 @wp.struct
 class ClippedCorner:
-    """A corner of the common area of two faces."""
+    """A corner of the common area of two outlines."""
 
-    position: vec3d  # on the other face, in the frame of the reference solid [m]
-    # The edge that follows: 0 to 3 of the other face, FACE_CORNERS + (0 to 3) of the reference face.
+    position: vec3d  # on the other outline, in the frame of the reference solid [m]
+    # The edge that follows: i ≥ 0: edge i of the other outline; below: edge −1 − i of the reference outline.
     after: wp.int32
     height: double  # above the reference face, negative in overlap [m]
 
 
 @wp.func
-def heights_of_face(
-    geometries: Geometries, other: SolidGeometry, pose: RelativePose, face: int, normal: vec3d, offset: double
-):
-    """Returns the smallest and largest height of the vertices of a face above a plane n·x = offset [m].
+def outline_box(geometries: Geometries, features: Features, side: SolidGeometry, outline: int, margin: double):
+    """Returns a box around an outline, ``margin`` larger on each side, in the frame of its solid."""
+    box = BoundingBox()
+    first = features.outline_start[outline]
+    box.lower = vertex_position(geometries, features.outline_vertex[first], side)
+    box.upper = box.lower
+    for i in range(first + 1, features.outline_start[outline + 1]):
+        position = vertex_position(geometries, features.outline_vertex[i], side)
+        box.lower = wp.min(box.lower, position)
+        box.upper = wp.max(box.upper, position)
+    box.lower -= vec3d(margin, margin, margin)
+    box.upper += vec3d(margin, margin, margin)
+    return box
 
-    ``pose``: pose of the solid of the face in the frame of the plane.
+
+@wp.func
+def heights_of_outline(
+    geometries: Geometries,
+    features: Features,
+    other: SolidGeometry,
+    pose: RelativePose,
+    outline: int,
+    normal: vec3d,
+    offset: double,
+):
+    """Returns the smallest and largest height of the vertices of an outline above a plane n·x = offset [m].
+
+    ``pose``: pose of the solid of the outline in the frame of the plane.
     """
-    vertices = geometries.face[face]
+    along = wp.cw_mul(wp.transpose(pose.rotation) * normal, other.scale)
+    shift = wp.dot(normal, pose.origin) - offset
     lowest = double(wp.inf)
     highest = -double(wp.inf)
-    for i in range(corner_count(vertices)):
-        height = wp.dot(normal, moved(pose, vertex_position(geometries, vertices[i], other))) - offset
+    for i in range(features.outline_start[outline], features.outline_start[outline + 1]):
+        height = wp.dot(along, geometries.vertex[features.outline_vertex[i]]) + shift
         lowest = wp.min(lowest, height)
         highest = wp.max(highest, height)
     return lowest, highest
 
 
 @wp.func
-def clip_face(
+def low_vertices(
     geometries: Geometries,
+    features: Features,
+    other: SolidGeometry,
+    pose: RelativePose,
+    outline: int,
+    normal: vec3d,
+    limit: double,
+):
+    """Returns how many vertices of an outline are at most at the offset ``limit`` along ``normal`` [m].
+
+    ``pose``: pose of the solid of the outline in the frame of the normal.
+    """
+    along = wp.cw_mul(wp.transpose(pose.rotation) * normal, other.scale)
+    shift = wp.dot(normal, pose.origin) - limit
+    count = wp.int32(0)
+    for i in range(features.outline_start[outline], features.outline_start[outline + 1]):
+        if wp.dot(along, geometries.vertex[features.outline_vertex[i]]) + shift <= double(0.0):
+            count += 1
+    return count
+
+
+@wp.func
+def clip_outline(
+    geometries: Geometries,
+    features: Features,
     own: SolidGeometry,
     reference_face: int,
+    reference_outline: int,
     other: SolidGeometry,
     other_face: int,
+    other_outline: int,
     pose: RelativePose,
     size: double,
     corners: wp.array(dtype=ClippedCorner),
 ):
-    """Writes the corners of the common area of two faces to ``corners``; returns their number and the first index.
+    """Writes the corners of the common area of two outlines to ``corners``; returns their number and the first index.
+
+    The outline with more vertices is cut at the edges of the other one.
 
     Args:
         geometries: The geometries.
+        features: Their features.
         own: The solid of the reference face.
         reference_face: The reference face.
+        reference_outline: An outline in its plane.
         other: The other solid.
         other_face: Its face.
+        other_outline: An outline in the plane of this face.
         pose: Pose of the other solid in the frame of the reference solid.
         size: Length relative to which positions are rounded [m].
         corners: Working memory of two times ``CLIPPED_CORNERS``.
     """
     normal = geometries.normal[reference_face]
-    vertices = geometries.face[other_face]
-    count = corner_count(vertices)
-    edges = geometries.face[reference_face]
-    edge_count = corner_count(edges)
-    origin = vertex_position(geometries, edges[0], own)
-    for i in range(count):
-        # In the order of the reference face, seen from its outside.
-        k = count - 1 - i
-        position = moved(pose, vertex_position(geometries, vertices[k], other))
-        corners[i].position = position
-        corners[i].height = wp.dot(normal, position - origin)
-        # The edge from vertex k to vertex k − 1.
-        corners[i].after = wp.where(k == 0, count - 1, k - 1)
+    first_other = features.outline_start[other_outline]
+    other_count = features.outline_start[other_outline + 1] - first_other
+    first_own = features.outline_start[reference_outline]
+    own_count = features.outline_start[reference_outline + 1] - first_own
+    origin = vertex_position(geometries, features.outline_vertex[first_own], own)
+    cuts_own = own_count > other_count
+    if cuts_own:
+        # The height of the plane of the other face above a point of the reference plane.
+        other_normal = pose.rotation * geometries.normal[other_face]
+        other_origin = moved(pose, vertex_position(geometries, features.outline_vertex[first_other], other))
+        slope = wp.dot(other_normal, normal)
+        for i in range(own_count):
+            position = vertex_position(geometries, features.outline_vertex[first_own + i], own)
+            height = wp.dot(other_normal, other_origin - position) / slope
+            corners[i].position = position + height * normal
+            corners[i].height = height
+            corners[i].after = -1 - i
+    else:
+        for i in range(other_count):
+            # In the order of the reference outline, seen from its outside.
+            k = other_count - 1 - i
+            vertex = features.outline_vertex[first_other + k]
+            position = moved(pose, vertex_position(geometries, vertex, other))
+            corners[i].position = position
+            corners[i].height = wp.dot(normal, position - origin)
+            # The edge from vertex k to vertex k − 1.
+            corners[i].after = wp.where(k == 0, other_count - 1, k - 1)
+    count = wp.where(cuts_own, own_count, other_count)
+    cuts = wp.where(cuts_own, other_count, own_count)
     source = wp.int32(0)
-    start = vertex_position(geometries, edges[edge_count - 1], own)
-    for cut in range(edge_count):
-        # Edge ``cut − 1``, from its vertex to the next one.
-        edge = wp.where(cut == 0, edge_count - 1, cut - 1)
-        end = vertex_position(geometries, edges[cut], own)
-        inward = wp.normalize(wp.cross(normal, end - start))
+    start = vec3d()
+    for cut in range(-1, cuts):
+        # Edge of the reference outline from vertex ``cut − 1`` to ``cut``, or of the other one in the same order.
+        edge = wp.where(cut == 0, cuts - 1, cut - 1)
+        code = -1 - edge
+        end = vec3d()
+        if cuts_own:
+            code = cuts - 1 - wp.where(cut < 0, cuts - 1, cut)
+            end = moved(pose, vertex_position(geometries, features.outline_vertex[first_other + code], other))
+        else:
+            k = wp.where(cut < 0, cuts - 1, cut)
+            end = vertex_position(geometries, features.outline_vertex[first_own + k], own)
+        inward = wp.cross(normal, end - start)
+        shift = -wp.dot(inward, start)
+        start = end
+        if cut < 0:
+            continue
+        length = wp.length(inward)
+        inward = inward / length
+        shift = shift / length + ON_EDGE * size
+        least = double(0.0)
+        for i in range(count):
+            least = wp.min(least, wp.dot(inward, corners[source + i].position) + shift)
+        if least == double(0.0):
+            continue
         target = CLIPPED_CORNERS - source
         kept = wp.int32(0)
+        value = wp.dot(inward, corners[source].position) + shift
         for i in range(count):
-            current = corners[source + i]
-            following = corners[source + wp.where(i == count - 1, 0, i + 1)]
-            value = wp.dot(inward, current.position - start) + ON_EDGE * size
-            value_after = wp.dot(inward, following.position - start) + ON_EDGE * size
+            following = source + wp.where(i == count - 1, 0, i + 1)
+            value_after = wp.dot(inward, corners[following].position) + shift
             inside = value >= double(0.0)
-            inside_after = value_after >= double(0.0)
             if inside and kept < CLIPPED_CORNERS:
-                corners[target + kept] = current
+                corners[target + kept] = corners[source + i]
                 kept += 1
-            if inside != inside_after and kept < CLIPPED_CORNERS:
+            if inside != (value_after >= double(0.0)) and kept < CLIPPED_CORNERS:
                 fraction = value / (value - value_after)
-                corners[target + kept].position = current.position + fraction * (
-                    following.position - current.position
-                )
-                corners[target + kept].height = current.height + fraction * (following.height - current.height)
-                corners[target + kept].after = wp.where(inside, FACE_CORNERS + edge, current.after)
+                position = corners[source + i].position
+                height = corners[source + i].height
+                after = corners[source + i].after
+                corners[target + kept].position = position + fraction * (corners[following].position - position)
+                corners[target + kept].height = height + fraction * (corners[following].height - height)
+                corners[target + kept].after = wp.where(inside, code, after)
                 kept += 1
-        start = end
+            value = value_after
         source = target
         count = kept
         if count == 0:
@@ -131,10 +220,11 @@ def clip_face(
 
 @wp.func
 def corner_feature(
-    geometries: Geometries,
     features: Features,
-    reference_face: int,
-    other_face: int,
+    reference_plane: int,
+    reference_outline: int,
+    other_plane: int,
+    other_outline: int,
     before: int,
     after: int,
     reference_is_second: bool,
@@ -142,20 +232,20 @@ def corner_feature(
     """Returns the ``Feature`` of a corner between two edges, numbered as in ``ClippedCorner``."""
     own = wp.int32(0)
     other = wp.int32(0)
-    if before < FACE_CORNERS and after < FACE_CORNERS:
-        # Both edges run against the order of the face: the later one starts at the vertex where the corner is.
-        vertices = geometries.face[other_face]
-        own = plane_feature(features.face_plane[reference_face])
-        other = vertex_feature(vertices[before])
-    elif before >= FACE_CORNERS and after >= FACE_CORNERS:
-        edges = geometries.face[reference_face]
-        own = vertex_feature(edges[after - FACE_CORNERS])
-        other = plane_feature(features.face_plane[other_face])
+    first_edge = features.outline_start[reference_outline]
+    first_vertex = features.outline_start[other_outline]
+    if before >= 0 and after >= 0:
+        # Both edges run against the order of the outline: the later one starts at the vertex where the corner is.
+        own = plane_feature(reference_plane)
+        other = vertex_feature(features.outline_vertex[first_vertex + before])
+    elif before < 0 and after < 0:
+        own = vertex_feature(features.outline_vertex[first_edge - 1 - after])
+        other = plane_feature(other_plane)
     else:
-        own_edge = wp.where(before < FACE_CORNERS, after, before) - FACE_CORNERS
-        other_edge = wp.where(before < FACE_CORNERS, before, after)
-        own = edge_feature(features.face_edge[reference_face][own_edge])
-        other = edge_feature(features.face_edge[other_face][other_edge])
+        own_edge = -1 - wp.min(before, after)
+        other_edge = wp.max(before, after)
+        own = edge_feature(features.outline_edge[first_edge + own_edge])
+        other = edge_feature(features.outline_edge[first_vertex + other_edge])
     result = Feature()
     result.first = wp.where(reference_is_second, other, own)
     result.second = wp.where(reference_is_second, own, other)

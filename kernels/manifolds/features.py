@@ -13,6 +13,8 @@ class Features:
 
     corner: wp.array(dtype=wp.int32)  # [corner] vertices of faces
     corner_start: wp.array(dtype=wp.int32)  # [geometry + 1]
+    neighbor: wp.array(dtype=wp.int32)  # neighbors of all vertices of convex solids
+    neighbor_start: wp.array(dtype=wp.int32)  # [vertex + 1] first of its neighbors in ``neighbor``
     edge: wp.array(dtype=wp.vec4i)  # [edge] its two vertices and two faces; the last is −1 at a boundary
     edge_start: wp.array(dtype=wp.int32)  # [geometry + 1]
     sharp_end: wp.array(dtype=wp.int32)  # [geometry] end of its convex edges, which come first
@@ -22,6 +24,14 @@ class Features:
     box_plane: wp.array(dtype=wp.int32)
     plane_face: wp.array(dtype=wp.int32)  # faces of all planes
     plane_start: wp.array(dtype=wp.int32)  # [plane + 1] first of its faces in ``plane_face``
+    plane_neighbor: wp.array(dtype=wp.int32)  # neighbors of all planes of convex solids
+    plane_neighbor_start: wp.array(dtype=wp.int32)  # [plane + 1] first of its neighbors in ``plane_neighbor``
+    # Outlines, convex polygons: those of the faces, with the same numbers, and those of planes with several faces of convex solids.
+    outline_vertex: wp.array(dtype=wp.int32)  # vertices of all outlines, counter-clockwise as seen from outside
+    outline_edge: wp.array(dtype=wp.int32)  # the edge that follows each vertex
+    outline_start: wp.array(dtype=wp.int32)  # [outline + 1] first of its vertices in ``outline_vertex``
+    plane_outline: wp.array(dtype=wp.int32)  # outlines of all planes
+    plane_outline_start: wp.array(dtype=wp.int32)  # [plane + 1] first of its outlines in ``plane_outline``
     is_convex: wp.array(dtype=wp.int32)  # [geometry] 1: it is convex, and its planes and edges are all compared
 
 
@@ -49,6 +59,16 @@ def edge_feature(edge: int):
 def plane_feature(plane: int):
     """Returns the number of a plane as a feature."""
     return 3 + 3 * plane
+
+
+@wp.func
+def outline_of_face(features: Features, face: int):
+    """Returns the outline of the plane of a face if it is one outline, or else that of the face."""
+    plane = features.face_plane[face]
+    first = features.plane_outline_start[plane]
+    if features.plane_outline_start[plane + 1] == first + 1:
+        return features.plane_outline[first]
+    return face
 
 
 @wp.func

@@ -41,7 +41,12 @@ from warpcontact.kernels.manifolds.curved_pairs import curved_pair_manifold
 from warpcontact.kernels.manifolds.face_clipping import CLIPPED_CORNERS, ClippedCorner
 from warpcontact.kernels.manifolds.features import Features
 from warpcontact.kernels.manifolds.meshes import mesh_manifold
-from warpcontact.kernels.manifolds.point_matching import ManifoldPoint, choose_all, match_points
+from warpcontact.kernels.manifolds.point_matching import (
+    ManifoldPoint,
+    choose_all,
+    mark_previous_points,
+    match_points,
+)
 from warpcontact.kernels.manifolds.records import ManifoldHistory, ManifoldPairs, manifold_structs
 from warpcontact.kernels.types import (
     CONTACT,
@@ -382,10 +387,12 @@ def find_manifolds(
                         )  # fmt: skip
                     if wp.static(has_convex):
                         if kind == BOTH_CONVEX:
-                            reference = convex_manifold(
+                            found = convex_manifold(
                                 geometries, features, first, geometry_1, second, geometry_2, pose.first_in_second,
-                                setting.kappa, reference_in, reach, corners, patches, candidates,
+                                setting.kappa, reference_in, history_in.likely[env, number], reach, corners, pending, patches, candidates,
                             )  # fmt: skip
+                            reference = found.code
+                            history_out.likely[env, number] = found.likely
                             share = double(0.5)
                             if reference > 0:
                                 share = double(1.0) - double((reference - 1) % 2)
@@ -421,6 +428,7 @@ def find_manifolds(
                     if deepest < -setting.max_depth:
                         contact_status = WRONG_SIDE
                     else:
+                        mark_previous_points(patches, candidates, history_in, env, start, end)
                         count = choose_all(patches, candidates, reach.size, end - start, chosen, points)
                         if deepest <= contact_gap:
                             contact_status = CONTACT
@@ -477,6 +485,7 @@ def accept_manifolds() -> wp.Kernel:
                 continue
             history.reference[env, number] = history_out.reference[env, number]
             history.overflow[env, number] = history_out.overflow[env, number]
+            history.likely[env, number] = history_out.likely[env, number]
             before = history.count[env, number]
             history.count[env, number] = history_out.count[env, number]
             if before == 0 and history_out.count[env, number] == 0:
@@ -511,6 +520,7 @@ def reset_manifolds(real: type) -> wp.Kernel:
         end = manifold_pairs.slot_start[number + 1]
         history.reference[env, number] = 0
         history.overflow[env, number] = 0
+        history.likely[env, number] = wp.vec4i()
         history.count[env, number] = 0
         history_out.count[env, number] = 0
         clear_points(history_out, manifold_points, env, start, end)

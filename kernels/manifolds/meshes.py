@@ -17,7 +17,6 @@ from warpcontact.kernels.body_contact.solids import (
     no_motion,
 )
 from warpcontact.kernels.body_contact.surface_queries import (
-    BoundingBox,
     SolidGeometry,
     are_boxes_apart,
     bounding_box,
@@ -33,7 +32,12 @@ from warpcontact.kernels.manifolds.collect import (
     faces_oppose,
     width_of,
 )
-from warpcontact.kernels.manifolds.face_clipping import FACE_CORNERS, ClippedCorner, heights_of_face
+from warpcontact.kernels.manifolds.face_clipping import (
+    FACE_CORNERS,
+    ClippedCorner,
+    heights_of_outline,
+    outline_box,
+)
 from warpcontact.kernels.manifolds.features import Features, moved, vertex_position
 from warpcontact.kernels.manifolds.separation import arcs_cross, closest_on_lines, common_normal
 
@@ -44,22 +48,6 @@ vec3d = wp.vec3d
 SAME_NORMAL = wp.constant(double(0.99984769515639))
 # Distance relative to the size by which the second solid is preferred as the reference.
 PREFERENCE = wp.constant(double(1.0e-6))
-
-
-@wp.func
-def face_box(geometries: Geometries, side: SolidGeometry, face: int, margin: double):
-    """Returns a box around a face, ``margin`` larger on each side, in the frame of its solid."""
-    vertices = geometries.face[face]
-    box = BoundingBox()
-    box.lower = vertex_position(geometries, vertices[0], side)
-    box.upper = box.lower
-    for i in range(1, corner_count(vertices)):
-        position = vertex_position(geometries, vertices[i], side)
-        box.lower = wp.min(box.lower, position)
-        box.upper = wp.max(box.upper, position)
-    box.lower -= vec3d(margin, margin, margin)
-    box.upper += vec3d(margin, margin, margin)
-    return box
 
 
 @wp.func
@@ -175,7 +163,7 @@ def add_crossing_edges(
     leaf = next_leaf_in_box(pending, 0, start_traversal(pending, 0, second), geometries, second, still, box)
     while leaf.end_face > leaf.first_face:
         for face_2 in range(leaf.first_face, leaf.end_face):
-            near = face_box(geometries, second, face_2, reach.margin)
+            near = outline_box(geometries, features, second, face_2, reach.margin)
             if are_boxes_apart(near, box):
                 continue
             count_2 = corner_count(geometries.face[face_2])
@@ -221,16 +209,20 @@ def add_face_pair(
         return
     normal = geometries.normal[reference_face]
     offset = plane_offset(geometries, side.own, reference_face)
-    count, start = clip_within_reach(geometries, side, reference_face, other_face, offset, reach, corners)
+    count, start = clip_within_reach(
+        geometries, features, side, reference_face, reference_face, other_face, other_face, offset, reach, corners
+    )
     if count == 0:
         return
     if not is_open:
         # The height of each whole face above the other one.
         other_offset = plane_offset(geometries, side.other, other_face)
-        own_height, _highest = heights_of_face(
-            geometries, side.own, from_other, reference_face, geometries.normal[other_face], other_offset
+        own_height, _highest = heights_of_outline(
+            geometries, features, side.own, from_other, reference_face, geometries.normal[other_face], other_offset
         )
-        other_height, _highest_2 = heights_of_face(geometries, side.other, side.pose, other_face, normal, offset)
+        other_height, _highest_2 = heights_of_outline(
+            geometries, features, side.other, side.pose, other_face, normal, offset
+        )
         preference = PREFERENCE * reach.size
         if other_height <= own_height - wp.where(side.is_second, preference, -preference):
             return
@@ -245,8 +237,8 @@ def add_face_pair(
     patch = patch_for(patches, normal_2, gap)
     if patch >= 0:
         add_corners(
-            geometries, features, side, second_frame, reference_face, other_face, reach, corners, start, count,
-            patches, candidates, patch,
+            geometries, features, side, second_frame, reference_face, reference_face, other_face, other_face, reach,
+            corners, start, count, patches, candidates, patch,
         )  # fmt: skip
 
 
@@ -293,7 +285,7 @@ def mesh_manifold(
         leaf = next_leaf_in_box(pending, 0, top, geometries, side.own, still, box)
         while leaf.end_face > leaf.first_face:
             for reference_face in range(leaf.first_face, leaf.end_face):
-                near = face_box(geometries, side.own, reference_face, reach.margin)
+                near = outline_box(geometries, features, side.own, reference_face, reach.margin)
                 if are_boxes_apart(near, box):
                     continue
                 # Faces of the other solid may also be below.

@@ -31,6 +31,25 @@ class ManifoldPoint:
 
 
 @wp.func
+def mark_previous_points(
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+    history: ManifoldHistory,
+    env: int,
+    start: int,
+    end: int,
+):
+    """Marks the candidates that are points of the last step, which are in slots ``start`` to ``end``."""
+    for patch in range(MAX_PATCHES):
+        for i in range(CANDIDATES * patch, CANDIDATES * patch + patches[patch].count):
+            candidates[i].was_point = 0
+            for slot in range(start, end):
+                same = history.feature_1[env, slot] == candidates[i].feature.first
+                if same and history.feature_2[env, slot] == candidates[i].feature.second:
+                    candidates[i].was_point = 1
+
+
+@wp.func
 def choose_all(
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),

@@ -26,6 +26,7 @@ class ManifoldHistory:
     count: wp.array2d(dtype=wp.int32)  # [env, pair] number of points
     reference: wp.array2d(dtype=wp.int32)  # [env, pair] ``convex.reference_code``, 0 or EDGES
     overflow: wp.array2d(dtype=wp.int32)  # [env, pair] number of steps with areas in contact that had no patch
+    likely: wp.array2d(dtype=wp.vec4i)  # [env, pair] ``convex.Reference.likely``
 
 
 class ManifoldStructs(NamedTuple):

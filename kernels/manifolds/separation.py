@@ -1,12 +1,15 @@
 """Separation of two convex solids along the normals of their faces, and normal to pairs of their edges.
 
 The separation along an axis is the gap of the projections, negative in overlap. The largest one over all axes is the
-distance of the solids, or the least displacement that separates them.
+distance of the solids, or the least displacement that separates them. Along the outward normal n of a face or edge of one
+solid it is at most n·(x − p), with a point x of the other solid and a point p of the face or edge. With the vertex x that is
+nearest to the face of the largest separation, this bound excludes most faces and edges.
 """
 
 import warp as wp
+from warpcontact.kernels.body_contact.face_trees import PENDING_NODES
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
-from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, plane_offset
+from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, is_on_face, plane_offset
 from warpcontact.kernels.manifolds.features import Features, moved, vertex_position
 
 double = wp.float64
@@ -22,6 +25,9 @@ class PlaneSeparation:
 
     distance: double  # [m]
     plane: wp.int32  # of the solid
+    vertex: wp.int32  # of the other solid, nearest to the plane
+    highest: wp.int32  # plane of the solid above which this vertex is highest
+    height: double  # of the vertex above that plane [m]
 
 
 @wp.struct
@@ -41,25 +47,59 @@ def separation_along(
     own: SolidGeometry,
     plane: int,
     other: SolidGeometry,
-    other_geometry: int,
     pose: RelativePose,
     limit: double,
+    likely: int,
 ):
-    """Returns the separation of two solids along the normal of a plane of one [m]; below ``limit``, an upper bound.
+    """Returns the separation of two solids along the normal of a plane of one [m], and the vertex of the other that is nearest.
 
-    ``pose``: pose of the other solid in the frame of the one with the plane.
+    Below ``limit``, an upper bound and any vertex with it. ``pose``: pose of the other solid in the frame of the one with
+    the plane. ``likely``: a vertex of the other solid, where the search starts.
     """
     face = geometries.plane_face[plane]
     normal = geometries.normal[face]
     shift = wp.dot(normal, pose.origin) - plane_offset(geometries, own, face)
     # Normal in the frame of the other solid, for positions in its unit.
     along = wp.cw_mul(wp.transpose(pose.rotation) * normal, other.scale)
-    distance = double(wp.inf)
-    for i in range(features.corner_start[other_geometry], features.corner_start[other_geometry + 1]):
-        distance = wp.min(distance, wp.dot(along, geometries.vertex[features.corner[i]]) + shift)
-        if distance < limit:
-            break
-    return distance
+    nearest = likely
+    distance = wp.dot(along, geometries.vertex[likely]) + shift
+    # From neighbor to neighbor: a vertex of a convex solid that is not the nearest has a nearer neighbor.
+    current = wp.int32(-1)
+    while nearest != current and distance >= limit:
+        current = nearest
+        for i in range(features.neighbor_start[current], features.neighbor_start[current + 1]):
+            height = wp.dot(along, geometries.vertex[features.neighbor[i]]) + shift
+            if height < distance:
+                distance = height
+                nearest = features.neighbor[i]
+    return distance, nearest
+
+
+@wp.func
+def height_above_plane(geometries: Geometries, own: SolidGeometry, plane: int, position: vec3d):
+    """Returns the height of a point above a plane of a solid, in its frame [m]."""
+    face = geometries.plane_face[plane]
+    return wp.dot(geometries.normal[face], position) - plane_offset(geometries, own, face)
+
+
+@wp.func
+def highest_plane(geometries: Geometries, features: Features, own: SolidGeometry, start: int, position: vec3d):
+    """Returns the plane of a convex solid above which a point is highest, and the height [m].
+
+    The planes above which a point is higher than any value are neighbors of each other, so the search goes from ``start`` to a
+    neighbor above which the point is higher until there is none.
+    """
+    best = start
+    highest = height_above_plane(geometries, own, start, position)
+    current = wp.int32(-1)
+    while best != current:
+        current = best
+        for i in range(features.plane_neighbor_start[current], features.plane_neighbor_start[current + 1]):
+            height = height_above_plane(geometries, own, features.plane_neighbor[i], position)
+            if height > highest:
+                highest = height
+                best = features.plane_neighbor[i]
+    return best, highest
 
 
 @wp.func
@@ -71,35 +111,87 @@ def largest_plane_separation(
     other_geometry: int,
     pose: RelativePose,
     preferred_plane: int,
+    likely_plane: int,
+    likely_vertex: int,
     hysteresis: double,
     margin: double,
 ):
     """Returns the ``PlaneSeparation`` of the plane of ``own`` with the largest separation.
 
     ``preferred_plane`` is returned if its separation is larger, less ``hysteresis``, and the first plane with a separation
-    above ``margin`` if there is one.
+    above ``margin`` if there is one. The search starts with ``likely_plane`` of ``own`` and ``likely_vertex`` of the other
+    solid, numbers of which may be invalid.
     """
     result = PlaneSeparation()
     result.distance = -double(wp.inf)
-    result.plane = preferred_plane
-    preferred = -double(wp.inf)
+    first_corner = features.corner_start[other_geometry]
+    likely = features.corner[first_corner]
+    last = features.corner[features.corner_start[other_geometry + 1] - 1]
+    if likely_vertex >= likely and likely_vertex <= last:
+        likely = likely_vertex
+    start = own.first_plane
+    if likely_plane >= own.first_plane and likely_plane < own.end_plane:
+        start = likely_plane
     if preferred_plane >= 0:
-        preferred = separation_along(
-            geometries, features, own, preferred_plane, other, other_geometry, pose, -double(wp.inf)
-        )
-        result.distance = preferred
-        if preferred > margin:
-            return result
-    limit = preferred + hysteresis
-    for plane in range(own.first_plane, own.end_plane):
-        distance = separation_along(geometries, features, own, plane, other, other_geometry, pose, limit)
+        start = preferred_plane
+    limit = -double(wp.inf)
+    # The likely plane first. The separation along others is at most the height of its nearest vertex above them.
+    for number in range(own.first_plane - 1, own.end_plane):
+        plane = wp.where(number < own.first_plane, start, number)
+        distance, likely = separation_along(geometries, features, own, plane, other, pose, limit, likely)
         if distance > limit:
             limit = distance
             result.distance = distance
             result.plane = plane
+            result.vertex = likely
             if distance > margin:
-                break
+                return result
+            if number < own.first_plane:
+                if preferred_plane >= 0:
+                    limit += hysteresis
+                position = moved(pose, vertex_position(geometries, likely, other))
+                highest, height = highest_plane(geometries, features, own, plane, position)
+                result.highest = highest
+                result.height = height
+                if height <= limit:
+                    return result
+    position = moved(pose, vertex_position(geometries, result.vertex, other))
+    highest, height = highest_plane(geometries, features, own, result.plane, position)
+    result.highest = highest
+    result.height = height
     return result
+
+
+@wp.func
+def face_is_nearest(
+    geometries: Geometries,
+    features: Features,
+    own: SolidGeometry,
+    found: PlaneSeparation,
+    position: vec3d,
+    distance: double,
+):
+    """Returns whether the nearest vertex is above or below a face, and at most ``distance`` from the surface of a solid.
+
+    Its distance is negative inside. No axis has a larger separation than this distance.
+
+    Args:
+        geometries: The geometries.
+        features: Their features.
+        own: The solid.
+        found: The largest separation along the normals of its planes.
+        position: The nearest vertex of the other solid, in the frame of the solid [m].
+        distance: Largest distance [m].
+    """
+    if found.height > distance:
+        return False
+    if found.height <= double(0.0):
+        return True
+    position -= found.height * geometries.normal[geometries.plane_face[found.highest]]
+    for i in range(features.plane_start[found.highest], features.plane_start[found.highest + 1]):
+        if is_on_face(geometries, own, features.plane_face[i], position):
+            return True
+    return False
 
 
 @wp.func
@@ -143,6 +235,31 @@ def common_normal(
 
 
 @wp.func
+def edge_bound(geometries: Geometries, edge: wp.vec4i, side: SolidGeometry, position: vec3d):
+    """Returns an upper bound of the separation from another solid along the normals of a convex edge [m].
+
+    It is the largest height of a point of the other solid above the edge along any normal between those of both faces.
+
+    Args:
+        geometries: The geometries.
+        edge: Vertices and faces of the edge.
+        side: Its solid.
+        position: The point of the other solid, in the frame of the one with the edge [m].
+    """
+    n_1 = geometries.normal[edge[2]]
+    n_2 = geometries.normal[edge[3]]
+    between = position - vertex_position(geometries, edge[0], side)
+    height_1 = wp.dot(n_1, between)
+    height_2 = wp.dot(n_2, between)
+    cosine = wp.dot(n_1, n_2)
+    if height_1 > cosine * height_2 and height_2 > cosine * height_1:
+        sine_squared = double(1.0) - cosine * cosine
+        square = height_1 * height_1 + height_2 * height_2 - double(2.0) * cosine * height_1 * height_2
+        return wp.sqrt(square / sine_squared)
+    return wp.max(height_1, height_2)
+
+
+@wp.func
 def largest_edge_separation(
     geometries: Geometries,
     features: Features,
@@ -151,36 +268,68 @@ def largest_edge_separation(
     second: SolidGeometry,
     geometry_2: int,
     pose: RelativePose,
+    position_1: vec3d,
+    position_2: vec3d,
     least: double,
     margin: double,
+    near: wp.array(dtype=wp.int32),
 ):
     """Returns the ``EdgeSeparation`` of the pair of edges with the largest separation above ``least``.
 
     The first pair with a separation above ``margin`` is returned if there is one. Without any, ``edge_1`` is −1.
+
+    Args:
+        geometries: The geometries.
+        features: Their features.
+        first: The first solid.
+        geometry_1: Its geometry.
+        second: The second solid.
+        geometry_2: Its geometry.
+        pose: Pose of the first solid in the frame of the second one.
+        position_1: A point of the first solid near the second one, in the frame of the second one [m].
+        position_2: A point of the second solid near the first one, in the frame of the first one [m].
+        least: Separation above which edges matter [m].
+        margin: Separation that ends the search [m].
+        near: Working memory of ``PENDING_NODES`` numbers.
     """
     result = EdgeSeparation()
     result.distance = least
     result.edge_1 = -1
-    for i in range(features.edge_start[geometry_1], features.sharp_end[geometry_1]):
-        edge_1 = features.edge[i]
-        n_1 = pose.rotation * geometries.normal[edge_1[2]]
-        n_2 = pose.rotation * geometries.normal[edge_1[3]]
-        start_1 = moved(pose, vertex_position(geometries, edge_1[0], first))
-        for k in range(features.edge_start[geometry_2], features.sharp_end[geometry_2]):
-            edge_2 = features.edge[k]
-            if not arcs_cross(n_1, n_2, geometries.normal[edge_2[2]], geometries.normal[edge_2[3]]):
+    room = wp.int32(PENDING_NODES)
+    next_edge = features.edge_start[geometry_2]
+    end_2 = features.sharp_end[geometry_2]
+    while next_edge < end_2:
+        # Some of the edges of the second solid that may touch, with all of the first one.
+        count = wp.int32(0)
+        while next_edge < end_2 and count < room:
+            if edge_bound(geometries, features.edge[next_edge], second, position_1) > least:
+                near[count] = next_edge
+                count += 1
+            next_edge += 1
+        if count == 0:
+            break
+        for i in range(features.edge_start[geometry_1], features.sharp_end[geometry_1]):
+            edge_1 = features.edge[i]
+            if edge_bound(geometries, edge_1, first, position_2) <= least:
                 continue
-            normal = common_normal(geometries, edge_1, edge_2, first, second, pose)
-            if wp.length_sq(normal) == double(0.0):
-                continue
-            distance = wp.dot(normal, start_1 - vertex_position(geometries, edge_2[0], second))
-            if distance > result.distance:
-                result.distance = distance
-                result.edge_1 = i
-                result.edge_2 = k
-                result.normal = normal
-                if distance > margin:
-                    return result
+            n_1 = pose.rotation * geometries.normal[edge_1[2]]
+            n_2 = pose.rotation * geometries.normal[edge_1[3]]
+            start_1 = moved(pose, vertex_position(geometries, edge_1[0], first))
+            for k in range(count):
+                edge_2 = features.edge[near[k]]
+                if not arcs_cross(n_1, n_2, geometries.normal[edge_2[2]], geometries.normal[edge_2[3]]):
+                    continue
+                normal = common_normal(geometries, edge_1, edge_2, first, second, pose)
+                if wp.length_sq(normal) == double(0.0):
+                    continue
+                distance = wp.dot(normal, start_1 - vertex_position(geometries, edge_2[0], second))
+                if distance > result.distance:
+                    result.distance = distance
+                    result.edge_1 = i
+                    result.edge_2 = near[k]
+                    result.normal = normal
+                    if distance > margin:
+                        return result
     return result
 
 

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from warpcontact.geometry.polyhedron import Polyhedron
 
 #: Largest number of planes of a convex solid whose planes and edges are all compared; others are treated as meshes.
-MAX_CONVEX_PLANES = 200
+MAX_CONVEX_PLANES = 2000
+#: Largest number of vertices of the outline of a plane; the faces of others are treated one by one.
+MAX_OUTLINE = 48
 # Sine of the angle between two faces, below which their edge is flat.
 _FLAT = 1e-9
 
@@ -26,6 +28,8 @@ class PolyhedronFeatures:
         face_planes: Plane of each face, (F,).
         is_convex: Whether the polyhedron is convex with at most ``MAX_CONVEX_PLANES`` planes.
         box_planes: Planes of a box on both sides of each axis, (6,); −1 if the polyhedron is no box with the axes of its frame.
+        outlines: Vertices and following edges of the outline of each plane with several faces, (2, N), by plane. Only of convex
+            polyhedra, and outlines of at most ``MAX_OUTLINE`` vertices.
     """
 
     corners: NDArray[np.int32]
@@ -35,6 +39,7 @@ class PolyhedronFeatures:
     face_planes: NDArray[np.int32]
     is_convex: bool
     box_planes: NDArray[np.int32]
+    outlines: dict[int, NDArray[np.int32]]
 
     @classmethod
     def without_edges(cls, count: int) -> "PolyhedronFeatures":
@@ -42,7 +47,7 @@ class PolyhedronFeatures:
         nothing = np.zeros(0, dtype=np.int32)
         face_edges = np.full((count, 4), -1, dtype=np.int32)
         edges, planes = np.zeros((0, 4), dtype=np.int32), np.arange(count, dtype=np.int32)
-        return cls(nothing, edges, 0, face_edges, planes, False, np.full(6, -1, dtype=np.int32))
+        return cls(nothing, edges, 0, face_edges, planes, False, np.full(6, -1, dtype=np.int32), {})
 
     @classmethod
     def of(cls, polyhedron: Polyhedron) -> "PolyhedronFeatures":
@@ -70,14 +75,41 @@ class PolyhedronFeatures:
         corners = np.unique(faces[faces >= 0]).astype(np.int32)
         sharp_count = int(sharp.sum())
         planes, box_planes = polyhedron.face_planes, _box_planes(polyhedron)
-        return cls(
-            corners, edges[order], sharp_count, face_edges, planes, has_convex_features(polyhedron), box_planes
-        )
+        is_convex = has_convex_features(polyhedron)
+        outlines = _outlines(polyhedron, face_edges) if is_convex else {}
+        return cls(corners, edges[order], sharp_count, face_edges, planes, is_convex, box_planes, outlines)
 
 
 def has_convex_features(polyhedron: Polyhedron) -> bool:
     """Returns whether a polyhedron is convex with at most ``MAX_CONVEX_PLANES`` planes."""
     return len(polyhedron.plane_faces) <= MAX_CONVEX_PLANES and polyhedron.is_convex
+
+
+def _outlines(polyhedron: Polyhedron, face_edges: NDArray[np.int32]) -> dict[int, NDArray[np.int32]]:
+    """Returns vertices and following edges of the outline of each plane with several faces, (2, N), by plane."""
+    outlines = {}
+    planes = polyhedron.face_planes
+    for plane in np.flatnonzero(np.bincount(planes) > 1):
+        own = np.flatnonzero(planes == plane)
+        # Edges of the outline are those of one face of the plane.
+        edges, counts = np.unique(face_edges[own][face_edges[own] >= 0], return_counts=True)
+        following = {}
+        for face in own:
+            count = int((polyhedron.faces[face] >= 0).sum())
+            for i in range(count):
+                if counts[np.searchsorted(edges, face_edges[face, i])] == 1:
+                    start, end = polyhedron.faces[face, i], polyhedron.faces[face, (i + 1) % count]
+                    following[int(start)] = int(end), int(face_edges[face, i])
+        vertex, outline = next(iter(following)), []
+        while vertex in following and len(outline) <= len(following):
+            outline.append((vertex, following[vertex][1]))
+            vertex = following[vertex][0]
+            if vertex == outline[0][0]:
+                break
+        # A single closed loop through all of these edges.
+        if len(outline) == len(following) and vertex == outline[0][0] and len(outline) <= MAX_OUTLINE:
+            outlines[int(plane)] = np.array(outline, dtype=np.int32).T
+    return outlines
 
 
 def _box_planes(polyhedron: Polyhedron) -> NDArray[np.int32]:
