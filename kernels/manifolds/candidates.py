@@ -133,7 +133,7 @@ def choose_points(
     """Chooses at most four candidates of a patch; returns their number and writes them to ``chosen``.
 
     The deepest one, of equally deep ones that farthest from their mean; the one farthest from it; the one farthest from the
-    line through both; and the one farthest from this line on its other side. Of nearly equal ones, a point of the last step, and
+    line through both; and the one farthest outside the triangle of these. Of nearly equal ones, a point of the last step, and
     of these the one with the first feature.
 
     Args:
@@ -152,13 +152,12 @@ def choose_points(
     for i in range(patch.count):
         origin += candidates[first + i].position / double(patch.count)
         deepest = wp.max(deepest, -candidates[first + i].gap)
-    line = vec3d()
-    side = double(0.0)
+    triangle = wp.mat33d()
     for number in range(POINTS):
         # The largest value within the tie, in two passes.
         largest = -LARGEST
         for i in range(patch.count):
-            value = candidate_value(candidates[first + i], number, origin, line, side, n)
+            value = candidate_value(candidates[first + i], number, origin, triangle, n)
             if number > 0 or -candidates[first + i].gap >= deepest - SAME_POINT * size:
                 largest = wp.max(largest, value)
         if number > 0 and largest <= SAME_POINT * size:
@@ -173,7 +172,7 @@ def choose_points(
             tolerance = wp.where(was_point == 1, SAME_DEPTH, SAME_POINT) * size
             if number == 0 and -candidates[first + i].gap < deepest - tolerance:
                 continue
-            if candidate_value(candidates[first + i], number, origin, line, side, n) < limit:
+            if candidate_value(candidates[first + i], number, origin, triangle, n) < limit:
                 continue
             is_first = best < 0 or was_point > best_was_point
             if was_point == best_was_point and best >= 0:
@@ -186,23 +185,33 @@ def choose_points(
         position = candidates[first + best].position
         if number == 0:
             origin = position
-        elif number == 1:
-            line = wp.normalize(wp.cross(n, across(position - origin, n)))
-        elif number == 2:
-            side = wp.where(wp.dot(line, position - origin) > double(0.0), double(-1.0), double(1.0))
+        if number < 3:
+            triangle[number] = position
     return found
 
 
 @wp.func
-def candidate_value(one: Candidate, number: int, origin: vec3d, line: vec3d, side: double, n: vec3d):
+def candidate_value(one: Candidate, number: int, origin: vec3d, triangle: wp.mat33d, n: vec3d):
     """Returns the distance by which point ``number`` of a patch is chosen [m].
 
-    From ``origin``, the mean of all candidates or the first point, or from the line through it normal to ``line``.
+    Args:
+        one: The candidate.
+        number: Number of the point.
+        origin: Mean of all candidates for the first point, the first point for the second one.
+        triangle: The points that were chosen, as rows.
+        n: Normal of the patch.
     """
-    difference = one.position - origin
     if number <= 1:
-        return wp.length(across(difference, n))
-    distance = wp.dot(line, difference)
+        return wp.length(across(one.position - origin, n))
+    along = wp.normalize(across(triangle[1] - triangle[0], n))
     if number == 2:
-        return wp.abs(distance)
-    return side * distance
+        return wp.abs(wp.dot(wp.cross(n, along), one.position - triangle[0]))
+    # Distances outside the edges of the triangle, which may be in either order.
+    turn = wp.where(wp.dot(wp.cross(n, along), triangle[2] - triangle[0]) > double(0.0), double(-1.0), double(1.0))
+    largest = -LARGEST
+    for i in range(3):
+        start = triangle[i]
+        end = triangle[wp.where(i == 2, 0, i + 1)]
+        outward = turn * wp.normalize(wp.cross(n, across(end - start, n)))
+        largest = wp.max(largest, wp.dot(outward, one.position - start))
+    return largest

@@ -85,7 +85,7 @@ def declare_features(
     counts["outline"].append(np.array([one.shape[1] for one in merged], dtype=np.int64))
     tables = {name: np.concatenate(parts) for name, parts in columns.items()}
     tables["outline_vertex"], tables["outline_edge"] = np.concatenate([*face_outlines, *merged], axis=1)
-    tables["plane_outline"] = np.concatenate(plane_outlines)
+    tables["plane_outline"] = np.concatenate([np.zeros(0, dtype=np.int32), *plane_outlines])
     for name, numbers in counts.items():
         tables[f"{name}_start"] = np.concatenate([[0], np.cumsum(np.concatenate(numbers))])
     tables |= {"sharp_end": np.array(sharp_end), "is_convex": np.array(is_convex)}
