@@ -7,13 +7,26 @@ a curved solid as another solid does (``curved_pairs.py``).
 """
 
 import warp as wp
-from warpcontact.kernels.body_contact.curved_solids import ELLIPSOID
 from warpcontact.kernels.body_contact.face_trees import next_leaf_in_box, start_traversal
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, corner_count, no_motion
-from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, bounding_box, plane_offset
+from warpcontact.kernels.body_contact.surface_queries import (
+    BoundingBox,
+    SolidGeometry,
+    bounding_box,
+    plane_offset,
+)
 from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, Candidate, Patch, add_candidate
 from warpcontact.kernels.manifolds.collect import Reach
+from warpcontact.kernels.manifolds.convex import EDGE_BIAS, EDGES, NO_REFERENCE
 from warpcontact.kernels.manifolds.curved_pairs import add_edges_of_face
+from warpcontact.kernels.manifolds.curved_separation import (
+    CurvedPair,
+    CurvedSeparation,
+    Support,
+    lowest_support,
+    separation_of_faces,
+    support_points,
+)
 from warpcontact.kernels.manifolds.face_clipping import ON_EDGE
 from warpcontact.kernels.manifolds.features import (
     Feature,
@@ -34,62 +47,19 @@ from warpcontact.kernels.manifolds.support_features import (
     LINE_START,
     end_height,
     flat_end,
-    lowest_line,
 )
 
 double = wp.float64
 vec3d = wp.vec3d
 
-#: Largest number of points of a curved solid on a plane.
-SUPPORTS = 6
 # Distance relative to the size by which a face is preferred to the flat end of a curved solid as the reference.
 PREFERENCE = wp.constant(double(1.0e-6))
 # Distance relative to the size by which the lowest point may be deeper than those above a face.
 FACE_HYSTERESIS = wp.constant(double(2.0e-4))
 # Distance relative to the size by which points may be deeper than the overlap of a convex polyhedron and a curved solid.
 SAME_DEPTH = wp.constant(double(1.0e-6))
-
-
-@wp.struct
-class Support:
-    """A point of a curved solid, in its frame."""
-
-    position: vec3d  # [m]
-    number: wp.int32  # which identifies it
-
-
-@wp.func
-def support_points(flags: int, scale: vec3d, direction: vec3d, supports: wp.array(dtype=Support)):
-    """Writes the points of a curved solid that are farthest along a direction; returns their number.
-
-    The first two are the ends of a line, except for ellipsoids.
-
-    Args:
-        flags: Properties of the solid.
-        scale: Its scale [m].
-        direction: Unit vector in its frame.
-        supports: Receives the points.
-    """
-    r = scale[0]
-    if (flags & ELLIPSOID) != 0:
-        weighted = wp.cw_mul(scale, direction)
-        supports[0].position = wp.cw_mul(scale, weighted) / wp.length(weighted)
-        supports[0].number = LINE_START
-        return 1
-    supports[0].number = LINE_START
-    supports[1].number = LINE_END
-    start, end = lowest_line(flags, scale, direction)
-    supports[0].position = start
-    supports[1].position = end
-    side = flat_end(flags, direction)
-    if side == 0:
-        return 2
-    z = end_height(flags, scale, side)
-    for k in range(4):
-        extent = wp.where(k % 2 == 0, r, -r)
-        supports[2 + k].position = wp.where(k < 2, vec3d(extent, double(0.0), z), vec3d(double(0.0), extent, z))
-        supports[2 + k].number = wp.where(side > 0, k, 4 + k)
-    return SUPPORTS
+# Rounding of separations, relative to the size.
+ROUNDING = wp.constant(double(1.0e-12))
 
 
 @wp.func
@@ -120,19 +90,6 @@ def add_curved_above(
             feature.first = vertex_feature(supports[i].number)
             feature.second = plane_feature(plane)
             add_candidate(patches, candidates, 0, position, gap, feature)
-
-
-@wp.struct
-class CurvedPair:
-    """A polyhedron and a curved solid."""
-
-    own: SolidGeometry  # the polyhedron
-    other: SolidGeometry  # the curved solid
-    pose: RelativePose  # of the curved solid in the frame of the polyhedron
-    second_frame: RelativePose  # of the polyhedron in the frame of the second solid
-    kappa: double  # points are at kappa × the gap from the polyhedron
-    own_is_second: wp.bool  # whether the polyhedron is the second solid
-    is_convex: wp.bool  # whether the polyhedron is convex, with few planes
 
 
 @wp.struct
@@ -314,31 +271,21 @@ def add_flat_end(
 
 
 @wp.func
-def lowest_support(pair: CurvedPair, normal: vec3d, supports: wp.array(dtype=Support)):
-    """Returns the support points of the curved solid against ``normal``: their number, and the least height above the origin [m].
-
-    ``normal``: unit vector in the frame of the polyhedron.
-    """
-    direction = -(wp.transpose(pair.pose.rotation) * normal)
-    count = support_points(pair.other.flags, pair.other.scale, direction, supports)
-    lowest = double(wp.inf)
-    for i in range(count):
-        lowest = wp.min(lowest, wp.dot(normal, moved(pair.pose, supports[i].position)))
-    return count, lowest
-
-
-@wp.func
 def add_curved_on_face(
     geometries: Geometries,
     features: Features,
     pair: CurvedPair,
     face: int,
+    bias: double,
     reach: Reach,
     supports: wp.array(dtype=Support),
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
-    """Adds the points of a curved solid above a face of a polyhedron as candidates."""
+    """Adds the points of a curved solid above a face of a polyhedron as candidates.
+
+    ``bias``: distance by which the lowest point of a convex pair may be deeper than those above the face [m].
+    """
     normal = geometries.normal[face]
     offset = plane_offset(geometries, pair.own, face)
     direction = -(wp.transpose(pair.pose.rotation) * normal)
@@ -399,76 +346,122 @@ def add_curved_on_face(
         if side != 0:
             add_flat_end(geometries, features, pair, face, reference, z, reach, patches, candidates)
     # If the lowest point is not above the face, an edge of the face, or of the solid, has the contact.
-    if patches[reference.patch].gap > lowest + FACE_HYSTERESIS * reach.size:
+    if not pair.is_convex:
+        bias = FACE_HYSTERESIS * reach.size
+    if patches[reference.patch].gap > lowest + bias:
         patches[reference.patch].count = before
         patches[reference.patch].gap = double(wp.inf)
     patches[reference.patch].gap = wp.min(patches[reference.patch].gap, gap_before)
 
 
 @wp.func
-def face_separation(geometries: Geometries, pair: CurvedPair, supports: wp.array(dtype=Support)):
-    """Returns the largest separation of a convex polyhedron and a curved solid along normals of faces and flat ends [m]."""
+def add_edges(
+    geometries: Geometries,
+    features: Features,
+    pair: CurvedPair,
+    box: BoundingBox,
+    near: vec3d,
+    least: double,
+    reach: Reach,
+    pending: wp.array(dtype=wp.int32),
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds the contacts of the edges of a polyhedron as candidates; returns their largest separation, −∞ without any [m].
+
+    ``box``: around the curved solid. ``near``, ``least``: see ``add_edges_of_face``. Of a convex polyhedron only the one with the largest.
+    """
+    still = no_motion()
     largest = -double(wp.inf)
-    for plane in range(pair.own.first_plane, pair.own.end_plane):
-        face = geometries.plane_face[plane]
-        _count, lowest = lowest_support(pair, geometries.normal[face], supports)
-        largest = wp.max(largest, lowest - plane_offset(geometries, pair.own, face))
-    axis = pair.pose.rotation * vec3d(double(0.0), double(0.0), double(1.0))
-    for k in range(2):
-        side = flat_end(pair.other.flags, vec3d(double(0.0), double(0.0), double(2 * k - 1)))
-        if side == 0:
-            continue
-        middle = moved(
-            pair.pose, vec3d(double(0.0), double(0.0), end_height(pair.other.flags, pair.other.scale, side))
-        )
-        nearest = double(wp.inf)
-        for face in range(pair.own.first_face, pair.own.end_face):
-            vertices = geometries.face[face]
-            for i in range(corner_count(vertices)):
-                corner = vertex_position(geometries, vertices[i], pair.own)
-                nearest = wp.min(nearest, double(side) * wp.dot(axis, corner - middle))
-        largest = wp.max(largest, nearest)
+    leaf = next_leaf_in_box(pending, 0, start_traversal(pending, 0, pair.own), geometries, pair.own, still, box)
+    while leaf.end_face > leaf.first_face:
+        for face in range(leaf.first_face, leaf.end_face):
+            gap = add_edges_of_face(
+                geometries, features, pair.own, face, pair.other, pair.pose, pair.second_frame, pair.kappa,
+                pair.own_is_second, pair.is_convex, near, wp.max(largest, least), reach, patches, candidates,
+            )  # fmt: skip
+            largest = wp.max(largest, gap)
+        leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
     return largest
+
+
+@wp.func
+def candidate_count(patches: wp.array(dtype=Patch)):
+    """Returns the number of candidates of all patches."""
+    found = wp.int32(0)
+    for patch in range(MAX_PATCHES):
+        found += patches[patch].count
+    return found
 
 
 @wp.func
 def curved_manifold(
     geometries: Geometries,
     features: Features,
+    geometry: int,
     pair: CurvedPair,
+    previous: int,
     reach: Reach,
     supports: wp.array(dtype=Support),
     pending: wp.array(dtype=wp.int32),
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
-    """Collects the candidates of a polyhedron and a curved solid in patches."""
-    best = -double(wp.inf)
+    """Collects the candidates of a polyhedron and a curved solid in patches; returns the code of the reference.
+
+    Those of a convex polyhedron have the normal of the face or flat end with the largest separation, or of the edge if its
+    separation is larger by more than a small bias, as those of two convex polyhedra.
+
+    Args:
+        geometries: The geometries.
+        features: Their features.
+        geometry: That of the polyhedron.
+        pair: The pair.
+        previous: Code of the reference of the last step.
+        reach: Lengths that decide which points belong to the manifold.
+        supports: Working memory of ``support_points``.
+        pending: Working memory of traversals.
+        patches: The patches.
+        candidates: Their candidates.
+    """
+    best = CurvedSeparation()
+    best.distance = -double(wp.inf)
     if pair.is_convex:
-        best = face_separation(geometries, pair, supports)
-        if best > reach.margin:
-            return
+        best = separation_of_faces(
+            geometries, features, geometry, pair, reach.margin, ROUNDING * reach.size, supports
+        )
+        if best.distance > reach.margin:
+            return NO_REFERENCE
+    bias = EDGE_BIAS * reach.size
+    if previous == EDGES:
+        bias = double(0.5) * bias
+    tolerance = SAME_DEPTH * reach.size
     box = bounding_box(pair.other, pair.pose, reach.margin)
     still = no_motion()
-    top = start_traversal(pending, 0, pair.own)
-    leaf = next_leaf_in_box(pending, 0, top, geometries, pair.own, still, box)
-    while leaf.end_face > leaf.first_face:
-        for face in range(leaf.first_face, leaf.end_face):
-            largest = add_edges_of_face(
-                geometries, features, pair.own, face, pair.other, pair.pose, pair.second_frame, pair.kappa,
-                pair.own_is_second, reach, patches, candidates,
-            )  # fmt: skip
-            best = wp.max(best, largest)
-        leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
-    if pair.is_convex:
-        # Solids overlap by no more than along the best normal of a face or edge. Deeper points are those of other sides.
-        reach.depth = wp.min(reach.depth, SAME_DEPTH * reach.size - best)
-        for patch in range(MAX_PATCHES):
-            if patches[patch].count > 0 and patches[patch].gap < -reach.depth:
-                patches[patch].count = 0
-    top = start_traversal(pending, 0, pair.own)
-    leaf = next_leaf_in_box(pending, 0, top, geometries, pair.own, still, box)
-    while leaf.end_face > leaf.first_face:
-        for face in range(leaf.first_face, leaf.end_face):
-            add_curved_on_face(geometries, features, pair, face, reach, supports, patches, candidates)
-        leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
+    for attempt in range(2):
+        # Without edges first, if none has a larger separation.
+        if attempt == 1 or not best.is_largest:
+            least = best.distance - tolerance
+            if attempt == 1:
+                least = -double(wp.inf)
+            largest = add_edges(
+                geometries, features, pair, box, best.near, least, reach, pending, patches, candidates
+            )
+            if pair.is_convex:
+                if attempt == 1 or largest > best.distance + bias:
+                    return EDGES
+                for patch in range(MAX_PATCHES):
+                    patches[patch].count = 0
+        if pair.is_convex:
+            # Solids overlap by no more than along the best normal. Deeper points are those of other sides.
+            reach.depth = tolerance - best.distance
+        leaf = next_leaf_in_box(
+            pending, 0, start_traversal(pending, 0, pair.own), geometries, pair.own, still, box
+        )
+        while leaf.end_face > leaf.first_face:
+            for face in range(leaf.first_face, leaf.end_face):
+                add_curved_on_face(geometries, features, pair, face, bias, reach, supports, patches, candidates)
+            leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
+        if candidate_count(patches) > 0 or not pair.is_convex:
+            return NO_REFERENCE
+    return NO_REFERENCE

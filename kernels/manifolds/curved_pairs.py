@@ -8,7 +8,7 @@ import warp as wp
 from warpcontact.kernels.body_contact.curved_solids import CAPSULE
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, corner_count, no_motion
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry
-from warpcontact.kernels.manifolds.candidates import Candidate, Patch, across
+from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, Candidate, Patch, across
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex_form import ConvexForm, FormCoefficients, form_of, form_of_edge
 from warpcontact.kernels.manifolds.features import (
@@ -19,6 +19,7 @@ from warpcontact.kernels.manifolds.features import (
     vertex_position,
 )
 from warpcontact.kernels.manifolds.meshes import patch_for
+from warpcontact.kernels.manifolds.separation import edge_bound
 from warpcontact.kernels.manifolds.support_features import (
     FLAT_END,
     LINE,
@@ -202,6 +203,17 @@ def leaves_face(
 
 
 @wp.func
+def leaves_vertex(geometries: Geometries, features: Features, own: SolidGeometry, vertex: int, direction: vec3d):
+    """Returns whether a direction from a vertex of a convex polyhedron leads away from all of its edges."""
+    place = vertex_position(geometries, vertex, own)
+    for i in range(features.neighbor_start[vertex], features.neighbor_start[vertex + 1]):
+        edge = wp.normalize(vertex_position(geometries, features.neighbor[i], own) - place)
+        if wp.dot(direction, edge) > PERPENDICULAR:
+            return False
+    return True
+
+
+@wp.func
 def edge_line(start: vec3d, end: vec3d, edge: wp.vec4i, number: int, pose: RelativePose, direction: vec3d):
     """Returns the ``SupportFeature`` of an edge in the frame of the second solid.
 
@@ -222,6 +234,7 @@ def edge_line(start: vec3d, end: vec3d, edge: wp.vec4i, number: int, pose: Relat
 @wp.func
 def add_edge(
     geometries: Geometries,
+    features: Features,
     own: SolidGeometry,
     edge: wp.vec4i,
     number: int,
@@ -230,14 +243,32 @@ def add_edge(
     second_frame: RelativePose,
     kappa: double,
     own_is_second: bool,
+    only_largest: bool,
+    least: double,
     reach: Reach,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
     """Adds the contact of a convex edge, and of its ends, with a curved solid as candidates.
 
-    Returns their separation, and −∞ if the edge is not towards the solid [m]. Arguments as ``curved.CurvedPair``; ``edge``: vertices
-    and faces of the edge with this number.
+    Returns their separation, and −∞ if the edge is not towards the solid [m].
+
+    Args:
+        geometries: The geometries.
+        features: Their features.
+        own: The polyhedron.
+        edge: Vertices and faces of the edge.
+        number: Its number.
+        other: The curved solid.
+        pose: Its pose in the frame of the polyhedron.
+        second_frame: Pose of the polyhedron in the frame of the second solid.
+        kappa: Points are at kappa × the gap from the polyhedron.
+        own_is_second: Whether the polyhedron is the second solid.
+        only_largest: Whether to add it only if its separation is above ``least``, in place of all candidates.
+        least: Largest separation so far [m].
+        reach: Lengths that decide which points belong to the manifold.
+        patches: The patches.
+        candidates: Their candidates.
     """
     start = vertex_position(geometries, edge[0], own)
     end = vertex_position(geometries, edge[1], own)
@@ -276,6 +307,9 @@ def add_edge(
         for side in range(2):
             if leaves:
                 leaves = leaves_face(geometries, own, edge[2 + side], nearer, ends, start, end, found.normal)
+        if leaves and ends:
+            # Convex polyhedra have the neighbors of their vertices.
+            leaves = leaves_vertex(geometries, features, own, nearer, found.normal)
         if leaves:
             gap = found.gap
             direction = found.normal
@@ -283,8 +317,11 @@ def add_edge(
             on_curved = middle + found.point_a
             at_vertex = ends
             vertex = nearer
-    if gap == -double(wp.inf):
+    if gap == -double(wp.inf) or (only_largest and gap <= least):
         return gap
+    if only_largest:
+        for patch in range(MAX_PATCHES):
+            patches[patch].count = 0
     normal = second_frame.rotation * direction
     curved_frame = RelativePose()
     curved_frame.rotation = second_frame.rotation * pose.rotation
@@ -331,6 +368,9 @@ def add_edges_of_face(
     second_frame: RelativePose,
     kappa: double,
     own_is_second: bool,
+    only_largest: bool,
+    near: vec3d,
+    least: double,
     reach: Reach,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
@@ -338,6 +378,8 @@ def add_edges_of_face(
     """Adds the contacts of convex edges of a face, and of their ends, with a curved solid as candidates.
 
     Returns the largest separation of these edges [m]. Arguments as ``curved.CurvedPair``. Only edges whose first face it is are added.
+    With ``only_largest``, the one with the largest separation above ``least`` replaces all candidates; ``near`` is a point of the curved
+    solid.
     """
     largest = -double(wp.inf)
     vertices = geometries.face[face]
@@ -346,11 +388,13 @@ def add_edges_of_face(
         edge = features.edge[number]
         if edge[2] != face or edge[3] < 0:
             continue
+        if only_largest and edge_bound(geometries, edge, own, near) <= wp.max(least, largest):
+            continue
         along = vertex_position(geometries, edge[1], own) - vertex_position(geometries, edge[0], own)
         if wp.dot(wp.cross(geometries.normal[edge[2]], geometries.normal[edge[3]]), along) > double(0.0):
             gap = add_edge(
-                geometries, own, edge, number, other, pose, second_frame, kappa, own_is_second, reach, patches,
-                candidates,
+                geometries, features, own, edge, number, other, pose, second_frame, kappa, own_is_second, only_largest,
+                wp.max(least, largest), reach, patches, candidates,
             )  # fmt: skip
             largest = wp.max(largest, gap)
     return largest

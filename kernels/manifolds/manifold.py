@@ -30,14 +30,9 @@ from warpcontact.kernels.manifolds.candidates import (
 )
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex import NO_REFERENCE, add_vertices_below, convex_manifold
-from warpcontact.kernels.manifolds.curved import (
-    SUPPORTS,
-    CurvedPair,
-    Support,
-    add_curved_above,
-    curved_manifold,
-)
+from warpcontact.kernels.manifolds.curved import add_curved_above, curved_manifold
 from warpcontact.kernels.manifolds.curved_pairs import curved_pair_manifold
+from warpcontact.kernels.manifolds.curved_separation import SUPPORTS, CurvedPair, Support
 from warpcontact.kernels.manifolds.face_clipping import CLIPPED_CORNERS, ClippedCorner
 from warpcontact.kernels.manifolds.features import Features
 from warpcontact.kernels.manifolds.meshes import mesh_manifold
@@ -419,9 +414,10 @@ def find_manifolds(
                             curved_pair = pair_with_curved(first, second, pose.first_in_second, setting.kappa)
                             polyhedron = wp.where(curved_pair.own_is_second, geometry_2, geometry_1)
                             curved_pair.is_convex = features.is_convex[polyhedron] == 1
-                            curved_manifold(
-                                geometries, features, curved_pair, reach, supports, pending, patches, candidates
-                            )
+                            reference = curved_manifold(
+                                geometries, features, polyhedron, curved_pair, reference_in, reach, supports, pending,
+                                patches, candidates,
+                            )  # fmt: skip
                     for patch in range(MAX_PATCHES):
                         if patches[patch].count > 0:
                             deepest = wp.min(deepest, patches[patch].gap)

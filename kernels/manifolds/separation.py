@@ -76,6 +76,23 @@ def separation_along(
 
 
 @wp.func
+def lowest_vertex(geometries: Geometries, features: Features, side: SolidGeometry, direction: vec3d, start: int):
+    """Returns the vertex of a convex solid that is lowest along a direction of its frame, searched from ``start``."""
+    along = wp.cw_mul(direction, side.scale)
+    lowest = start
+    least = wp.dot(along, geometries.vertex[start])
+    current = wp.int32(-1)
+    while lowest != current:
+        current = lowest
+        for i in range(features.neighbor_start[current], features.neighbor_start[current + 1]):
+            height = wp.dot(along, geometries.vertex[features.neighbor[i]])
+            if height < least:
+                least = height
+                lowest = features.neighbor[i]
+    return lowest
+
+
+@wp.func
 def height_above_plane(geometries: Geometries, own: SolidGeometry, plane: int, position: vec3d):
     """Returns the height of a point above a plane of a solid, in its frame [m]."""
     face = geometries.plane_face[plane]
