@@ -1,7 +1,7 @@
 """Points of a curved solid that are farthest along a direction, and the largest separation of a convex polyhedron from it."""
 
 import warp as wp
-from warpcontact.kernels.body_contact.curved_solids import ELLIPSOID
+from warpcontact.kernels.body_contact.curved_solids import CONE, ELLIPSOID
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, is_on_face, plane_offset
 from warpcontact.kernels.manifolds.candidates import across
@@ -149,6 +149,20 @@ def nearest_point(
 
 
 @wp.func
+def end_is_nearest(pair: CurvedPair, beside: double, depth: double):
+    """Returns whether no other part of the surface of a cylinder or cone is nearer to a point than its flat end.
+
+    ``beside``, ``depth``: distances of the point from the axis and below the flat end, 0 if it is above [m].
+    """
+    radius = pair.other.scale[0]
+    height = pair.other.scale[2]
+    if (pair.other.flags & CONE) != 0:
+        slant = wp.sqrt(radius * radius + height * height)
+        return beside <= radius - depth * (radius + slant) / height
+    return beside <= radius - depth and depth <= height
+
+
+@wp.func
 def separation_of_faces(
     geometries: Geometries,
     features: Features,
@@ -207,7 +221,7 @@ def separation_of_faces(
         distance = wp.dot(along, position - middle)
         if distance > result.distance:
             result.distance = distance
-            beside = across(position - middle, along)
-            result.is_largest = wp.length_sq(beside) <= pair.other.scale[0] * pair.other.scale[0]
-            result.is_largest = result.is_largest or distance <= double(0.0)
+            result.is_largest = end_is_nearest(
+                pair, wp.length(across(position - middle, along)), wp.max(-distance, double(0.0))
+            )
     return result

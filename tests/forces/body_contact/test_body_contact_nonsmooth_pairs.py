@@ -78,16 +78,18 @@ def test_smallest_gap_is_the_separation_of_the_solids(device):
             case = f"{pairs[i]} {env}"
             deepest = np.nanargmin(gaps[env])
             gap, normal = gaps[env, deepest], normals[i, env]
-            # Along normals of faces and edges of a polyhedron that differ by less than a millionth of its size, both have points.
-            slack = 3e-7 if kind == "box" else 1e-10
-            # The grid finds no larger separation.
-            assert expected[i, env] < gap + slack, case
-            if gap > 0.0 or kind == "box":
-                assert gap == pytest.approx(expected[i, env], abs=1e-5), case
+            # A face of a polyhedron is preferred to an edge by 1e-3 of the size of the smaller solid, 0.1 m or more. Otherwise, the
+            # grid finds no larger separation.
+            bias = 1e-4 if kind == "box" else 1e-10
+            assert expected[i, env] < gap + bias, case
+            if gap > 0.0:
+                assert gap == pytest.approx(expected[i, env], abs=max(bias, 1e-5)), case
             else:
                 normal = contact_normals[env]
                 along = separation_along(one, kind, position, turn, normal[None])
-                assert along == pytest.approx(gap, abs=1e-10), case
+                # The deepest point is above a face, and the lowest one of the curved solid may be beside it.
+                assert along < gap + 1e-10, case
+                assert along > (expected[i, env] - bias if kind == "box" else gap - 1e-10), case
             # Both points are on their solids, so that the solids are not farther apart. The normal of the grid is less exact.
             on_second = points[env, deepest] - 0.5 * gap * normal
             on_first = turn.T @ (points[env, deepest] + 0.5 * gap * normal - position)
