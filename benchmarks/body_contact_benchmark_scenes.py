@@ -6,7 +6,7 @@ SI units. Poses are arrays (…, 7) of position and quaternion (x, y, z, w).
 """
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ SAMPLED_ENVS = 16  # environments in which overlaps are computed
 DENSITY = 1000.0
 FRICTION = 0.5
 STIFFNESS = 1e7  # of compliant contact over an area [Pa/m]
+COMPLIANT_SUBSTEPS = 5  # of a step with this stiffness
 INNER, HEIGHT, WALL = 0.3, 0.8, 0.1  # inner edge length, height and thickness of the bin [m]
 BALL = 0.1  # radius of the sphere of W5 [m]
 
@@ -68,7 +69,9 @@ class Part:
         corners = self.vertices[self.faces]
         volumes = np.linalg.det(corners) / 6
         # ∫ x² over a tetrahedron with a vertex at the origin: V/20 ((Σ xᵢ)² + Σ xᵢ²).
-        return volumes.sum(), (volumes[:, None] / 20 * (corners.sum(axis=1) ** 2 + (corners**2).sum(axis=1))).sum(0)
+        return volumes.sum(), (volumes[:, None] / 20 * (corners.sum(axis=1) ** 2 + (corners**2).sum(axis=1))).sum(
+            0
+        )
 
     def support(self, directions: Array) -> Array:
         """Returns the largest d·x over its points x for directions d of the body frame, (n, 3) → (n,) [m]."""
@@ -102,7 +105,9 @@ class Bin:
     @cached_property
     def parts(self) -> list[Part]:
         """The bodies of an environment."""
-        boxes = [Part("box", size) for size in ((0.05, 0.04, 0.03), (0.04,) * 3, (0.06, 0.03, 0.03), (0.05, 0.05, 0.02))]
+        boxes = [
+            Part("box", size) for size in ((0.05, 0.04, 0.03), (0.04,) * 3, (0.06, 0.03, 0.03), (0.05, 0.05, 0.02))
+        ]
         cylinders = [Part("cylinder", size) for size in ((0.03, 0.05), (0.04, 0.03), (0.025, 0.06), (0.045, 0.02))]
         hulls = [turned_part(*size) for size in ((0.045, 0.03), (0.03, 0.05))]
         return [*boxes, *cylinders, *hulls]
@@ -165,7 +170,7 @@ class Rolling:
     """W5."""
 
     name: str = "W5"
-    surface: Surface = terrain()
+    surface: Surface = field(default_factory=terrain)
 
     @cached_property
     def parts(self) -> list[Part]:
@@ -213,7 +218,9 @@ def turned_part(radius: float, half_length: float) -> Part:
     rings = []
     for height in np.linspace(-1.0, 1.0, 7):
         r = radius * (1 - 0.3 * abs(height) ** 3)
-        rings.append(np.stack([r * np.cos(angles), r * np.sin(angles), np.full(count, height * half_length)], axis=1))
+        rings.append(
+            np.stack([r * np.cos(angles), r * np.sin(angles), np.full(count, height * half_length)], axis=1)
+        )
     number = np.arange(7 * count).reshape(7, count)
     after = np.roll(number, -1, axis=1)
     low, high, next_low, next_high = number[:-1], number[1:], after[:-1], after[1:]
@@ -290,12 +297,15 @@ def overlap(one: Part, at: Array, turn: Array, other: Part, other_at: Array, oth
     if values.min() <= 0.0:
         return float(values.min())
     best = np.inf
-    for direction in directions[np.argsort(values)[:4]]:
+    for start in directions[np.argsort(values)[:4]]:
+        direction = start
         value, step = along(direction[None])[0], 0.05
         while step > 1e-6:
             tangents = np.linalg.svd(direction[None])[2][1:]
             angles = np.arange(8) * np.pi / 4
-            around = direction + step * (np.cos(angles)[:, None] * tangents[0] + np.sin(angles)[:, None] * tangents[1])
+            around = direction + step * (
+                np.cos(angles)[:, None] * tangents[0] + np.sin(angles)[:, None] * tangents[1]
+            )
             around /= np.linalg.norm(around, axis=1)[:, None]
             found = along(around)
             if found.min() < value:
@@ -306,9 +316,7 @@ def overlap(one: Part, at: Array, turn: Array, other: Part, other_at: Array, oth
     return float(best)
 
 
-def sanity(
-    scene: "Bin | Rolling", before: Array, after: Array, velocities: Array
-) -> dict[str, float]:
+def sanity(scene: "Bin | Rolling", before: Array, after: Array, velocities: Array) -> dict[str, float]:
     """Returns figures that show whether a run was physical.
 
     Args:

@@ -85,7 +85,9 @@ def lines(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def sanity_text(row: dict[str, Any]) -> str:
-    """Returns the mean height of the bodies, or the median residual and the penetration of nonsmooth contact."""
+    """Returns the mean height of the bodies, overlap and drift of bodies, or median residual and penetration of contacts."""
+    if "drift_m" in row:
+        return f"{1e3 * row['penetration_m']:.3f}, {1e3 * row['drift_m']:.3f} mm"
     if "mean_height" in row:
         return f"height {row['mean_height']:.3f} m"
     return f"{row['residual_median']:.0e}, {1e3 * row['penetration_m']:.3f} mm"
