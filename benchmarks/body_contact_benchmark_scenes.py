@@ -188,7 +188,7 @@ class Rolling:
         poses = np.zeros((envs, 1, 7))
         poses[..., 6] = 1.0
         poses[:, 0, :2] = rng.uniform(-3.0, 3.0, (envs, 2))
-        # Just above the surface below it: a ball on a slope touches beside its lowest point.
+        # Just above the surface below it: a ball on a slope does not touch at its lowest point.
         around = poses[:, :1, :2] + self.parts[0].vertices[None, :, :2]
         under = self.surface.height(around) - self.parts[0].vertices[None, :, 2]
         poses[:, 0, 2] = under.max(axis=1) + 1e-4

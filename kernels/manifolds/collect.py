@@ -127,7 +127,7 @@ def add_corners(
     normal = geometries.normal[reference_face]
     u_axis, v_axis = axes_across(normal)
     direction = u_axis
-    # Of many corners, the deepest and the extremes of some directions, as ``keep_extremes``.
+    # With many corners, the deepest and the extremes of some directions, as ``keep_extremes``.
     few = count <= DIRECTIONS
     for number in range(wp.where(few, count, DIRECTIONS + 1)):
         i = wp.int32(number)

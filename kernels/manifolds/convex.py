@@ -77,7 +77,7 @@ EDGE_BIAS = wp.constant(double(1.0e-3))
 
 @wp.struct
 class Reference:
-    """The reference of a pair of convex solids, and what it was found by."""
+    """The reference of a pair of convex solids, and the planes and vertices with which the next search starts."""
 
     code: wp.int32  # from ``reference_code``, or EDGES
     # The planes of the first and second solid with the largest separation, and the vertices of the first and second solid

@@ -369,7 +369,8 @@ def add_edges(
 ):
     """Adds the contacts of the edges of a polyhedron as candidates; returns their largest separation, −∞ without any [m].
 
-    ``box``: around the curved solid. ``near``, ``least``: see ``add_edges_of_face``. Of a convex polyhedron only the one with the largest.
+    ``box``: around the curved solid. ``near``, ``least``: see ``add_edges_of_face``. For a convex polyhedron, only the edge with the
+    largest separation is added.
     """
     still = no_motion()
     largest = -double(wp.inf)

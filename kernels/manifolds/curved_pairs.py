@@ -264,7 +264,7 @@ def add_edge(
         second_frame: Pose of the polyhedron in the frame of the second solid.
         kappa: Points are at kappa × the gap from the polyhedron.
         own_is_second: Whether the polyhedron is the second solid.
-        only_largest: Whether to add it only if its separation is above ``least``, in place of all candidates.
+        only_largest: Whether to add it only if its separation is above ``least``, and remove all other candidates then.
         least: Largest separation so far [m].
         reach: Lengths that decide which points belong to the manifold.
         patches: The patches.

@@ -100,7 +100,8 @@ def _outlines(polyhedron: Polyhedron, face_edges: NDArray[np.int32]) -> dict[int
                 if counts[np.searchsorted(edges, face_edges[face, i])] == 1:
                     start, end = polyhedron.faces[face, i], polyhedron.faces[face, (i + 1) % count]
                     following[int(start)] = int(end), int(face_edges[face, i])
-        vertex, outline = next(iter(following)), []
+        vertex = next(iter(following))
+        outline: list[tuple[int, int]] = []
         while vertex in following and len(outline) <= len(following):
             outline.append((vertex, following[vertex][1]))
             vertex = following[vertex][0]

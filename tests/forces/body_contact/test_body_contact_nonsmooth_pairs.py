@@ -87,7 +87,7 @@ def test_smallest_gap_is_the_separation_of_the_solids(device):
             else:
                 normal = contact_normals[env]
                 along = separation_along(one, kind, position, turn, normal[None])
-                # The deepest point is above a face, and the lowest one of the curved solid may be beside it.
+                # The deepest point is above a face, and the lowest one of the curved solid may be outside its outline.
                 assert along < gap + 1e-10, case
                 assert along > (expected[i, env] - bias if kind == "box" else gap - 1e-10), case
             # Both points are on their solids, so that the solids are not farther apart. The normal of the grid is less exact.
