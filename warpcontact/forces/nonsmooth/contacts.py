@@ -522,21 +522,16 @@ class NonsmoothContacts(ForceElement):
         """
         a, real = plan.model.arrays, self._real
         targets = [(self._nearest, save_impulses.display_contacts(real, self._contacts), a.contacts)]
-        for one, own in self._shape_contact_sets:
-            targets.append(
-                (
-                    own,
-                    save_impulses.display_contacts(real, shape_contact_structs(real).ShapeContacts),
-                    one.shape_contacts,
-                )
+        targets += [
+            (
+                own,
+                save_impulses.display_contacts(real, shape_contact_structs(real).ShapeContacts),
+                one.shape_contacts,
             )
-        inputs = {
-            "status": status,
-            "step": self._step,
-            "stored_impulses": self.stored_impulses,
-            "statistics": self.statistics,
-            "displayed": self.displayed,
-        }
+            for one, own in self._shape_contact_sets
+        ]
+        stored = {"stored_impulses": self.stored_impulses, "statistics": self.statistics}
+        inputs = stored | {"status": status, "step": self._step, "displayed": self.displayed}
         launches = []
         for own, kernel, target in targets:
             launches += plan.prepare(
@@ -544,7 +539,6 @@ class NonsmoothContacts(ForceElement):
             )
         for minima in self._minima:
             launches += minima.show_launches(plan, inputs)
-        stored = {"stored_impulses": self.stored_impulses, "statistics": self.statistics}
         for manifolds, first, _ in self._manifold_sets.values():
             launches += manifolds.show_launches(plan, status, self._step, first, stored)
         return launches
