@@ -40,7 +40,8 @@ def mark_previous_points(
     end: int,
 ):
     """Marks the candidates that are points of the last step, which are in slots ``start`` to ``end``."""
-    for patch in range(MAX_PATCHES):
+    patch_count = wp.int32(MAX_PATCHES)
+    for patch in range(patch_count):
         for i in range(CANDIDATES * patch, CANDIDATES * patch + patches[patch].count):
             candidates[i].was_point = 0
             for slot in range(start, end):
@@ -60,7 +61,9 @@ def choose_all(
 ):
     """Writes the points of all patches to ``points``; returns their number, at most ``capacity``."""
     count = wp.int32(0)
-    for patch in range(MAX_PATCHES):
+    # Not a constant, so that the loop is not unrolled.
+    patch_count = wp.int32(MAX_PATCHES)
+    for patch in range(patch_count):
         found = choose_points(patches[patch], candidates, CANDIDATES * patch, size, chosen)
         for i in range(found):
             if count < capacity:
