@@ -105,6 +105,15 @@ class Polyhedron:
         heights = used @ normals.T - offsets
         return bool(heights.max() <= _TOLERANCE * np.ptp(used, axis=0).max())
 
+    @cached_property
+    def has_paired_edges(self) -> bool:
+        """Whether each edge belongs to two faces; not if a vertex of one face is within an edge of another one."""
+        counts = (self.faces >= 0).sum(axis=1)
+        ends = np.take_along_axis(self.faces, (np.arange(4) + 1) % counts[:, None], axis=1)
+        used = np.arange(4) < counts[:, None]
+        edges = np.sort(np.stack([self.faces[used], ends[used]], axis=1), axis=1)
+        return bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
+
     def planes(self) -> tuple[Array, Array, Array]:
         """Returns unit normals (F, 3), unit vectors along the first edges (F, 3), and offsets along the normals (F,)."""
         first, second = (self.vertices[self.faces[:, i]] for i in range(2))

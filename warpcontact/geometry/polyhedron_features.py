@@ -26,7 +26,7 @@ class PolyhedronFeatures:
         sharp_count: Number of convex edges.
         face_edges: Edges of each face, the first from its first to its second vertex, (F, 4); the last of a triangle is −1.
         face_planes: Plane of each face, (F,).
-        is_convex: Whether the polyhedron is convex with at most ``MAX_CONVEX_PLANES`` planes.
+        is_convex: Whether ``has_convex_features`` holds.
         box_planes: Planes of a box on both sides of each axis, (6,); −1 if the polyhedron is no box with the axes of its frame.
         outlines: Vertices and following edges of the outline of each plane with several faces, (2, N), by plane. Only of convex
             polyhedra, and outlines of at most ``MAX_OUTLINE`` vertices.
@@ -81,8 +81,12 @@ class PolyhedronFeatures:
 
 
 def has_convex_features(polyhedron: Polyhedron) -> bool:
-    """Returns whether a polyhedron is convex with at most ``MAX_CONVEX_PLANES`` planes."""
-    return len(polyhedron.plane_faces) <= MAX_CONVEX_PLANES and polyhedron.is_convex
+    """Returns whether a polyhedron is convex with at most ``MAX_CONVEX_PLANES`` planes, all next to their neighbors.
+
+    Searches from plane to plane need an edge between each pair of neighbors.
+    """
+    few = len(polyhedron.plane_faces) <= MAX_CONVEX_PLANES
+    return few and polyhedron.is_convex and polyhedron.has_paired_edges
 
 
 def _outlines(polyhedron: Polyhedron, face_edges: NDArray[np.int32]) -> dict[int, NDArray[np.int32]]:
