@@ -153,9 +153,7 @@ def choose_points(
         origin += candidates[first + i].position / double(patch.count)
         deepest = wp.max(deepest, -candidates[first + i].gap)
     triangle = wp.mat33d()
-    # Not a constant, so that the loop is not unrolled.
-    points = wp.int32(POINTS)
-    for number in range(points):
+    for number in range(POINTS):
         # The largest value within the tie, in two passes.
         largest = -LARGEST
         for i in range(patch.count):
@@ -211,8 +209,7 @@ def candidate_value(one: Candidate, number: int, origin: vec3d, triangle: wp.mat
     # Distances outside the edges of the triangle, which may be in either order.
     turn = wp.where(wp.dot(wp.cross(n, along), triangle[2] - triangle[0]) > double(0.0), double(-1.0), double(1.0))
     largest = -LARGEST
-    corners = wp.int32(3)
-    for i in range(corners):
+    for i in range(3):
         start = triangle[i]
         end = triangle[wp.where(i == 2, 0, i + 1)]
         outward = turn * wp.normalize(wp.cross(n, across(end - start, n)))

@@ -321,9 +321,7 @@ def convex_manifold(
     else:
         # First the solid that had the reference face, or else the second one.
         starts_with_second = plane_1 < 0
-        # Not a constant, so that the loop is not unrolled.
-        sides = wp.int32(2)
-        for number in range(sides):
+        for number in range(2):
             own_is_second = starts_with_second == (number == 0)
             own = second
             other = first
@@ -404,8 +402,7 @@ def convex_manifold(
     normal = geometries.normal[geometries.plane_face[plane]]
     edges = EdgeSeparation()
     edges.edge_1 = -1
-    attempts = wp.int32(2)
-    for attempt in range(attempts):
+    for attempt in range(2):
         patches[0].gap = double(wp.inf)
         # Without edges first, if their separation is not larger than that of the faces.
         if attempt == 1 or not is_flat:

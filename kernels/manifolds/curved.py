@@ -439,9 +439,7 @@ def curved_manifold(
     tolerance = SAME_DEPTH * reach.size
     box = bounding_box(pair.other, pair.pose, reach.margin)
     still = no_motion()
-    # Not a constant, so that the loop is not unrolled.
-    attempts = wp.int32(2)
-    for attempt in range(attempts):
+    for attempt in range(2):
         # Without edges first, if none has a larger separation.
         if attempt == 1 or not best.is_largest:
             least = best.distance - tolerance

@@ -209,8 +209,7 @@ def separation_of_faces(
     # Flat ends.
     axis = pair.pose.rotation * vec3d(double(0.0), double(0.0), double(1.0))
     likely = features.corner[features.corner_start[geometry]]
-    ends = wp.int32(2)
-    for k in range(ends):
+    for k in range(2):
         side = flat_end(pair.other.flags, vec3d(double(0.0), double(0.0), double(2 * k - 1)))
         if side == 0:
             continue

@@ -40,8 +40,7 @@ def mark_previous_points(
     end: int,
 ):
     """Marks the candidates that are points of the last step, which are in slots ``start`` to ``end``."""
-    patch_count = wp.int32(MAX_PATCHES)
-    for patch in range(patch_count):
+    for patch in range(MAX_PATCHES):
         for i in range(CANDIDATES * patch, CANDIDATES * patch + patches[patch].count):
             candidates[i].was_point = 0
             for slot in range(start, end):
@@ -61,9 +60,7 @@ def choose_all(
 ):
     """Writes the points of all patches to ``points``; returns their number, at most ``capacity``."""
     count = wp.int32(0)
-    # Not a constant, so that the loop is not unrolled.
-    patch_count = wp.int32(MAX_PATCHES)
-    for patch in range(patch_count):
+    for patch in range(MAX_PATCHES):
         found = choose_points(patches[patch], candidates, CANDIDATES * patch, size, chosen)
         for i in range(found):
             if count < capacity:
