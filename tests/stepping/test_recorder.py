@@ -36,7 +36,7 @@ def read_by_stopping(device, frames, stride):
 def in_slices(monkeypatch):
     """Makes several threads share a few environments."""
     monkeypatch.setattr(requirements, "MAX_SLICE", 2)
-    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(worker_pool, "SERIAL_SECONDS", 0.0)
 
 
 def test_recording_is_a_labeled_data_set(device):

@@ -112,7 +112,7 @@ def test_recorded_frames_equal_sensors_at_the_same_steps(keys, name, threads, si
         expected.append([stopped.model.sensor(key) for key in names])
 
     monkeypatch.setattr(requirements, "MAX_SLICE", size)
-    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(worker_pool, "SERIAL_SECONDS", 0.0)
     sim = simulation(name, device, threads=threads, capture_graphs=graphs)
     model = sim.model
     needs = {need for key in names for need in model.find_sensor(key).needs}

@@ -126,7 +126,7 @@ def test_bench_refuses_several_devices(device):
 )
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 def test_recordings_on_several_devices_are_bitwise_identical(options, precision, devices, device, monkeypatch):
-    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(worker_pool, "SERIAL_SECONDS", 0.0)
     recordings = []
     for model in both(device, devices, precision=precision):
         sim = wc.Simulation(model, dt=1e-3, deterministic=True, **options)

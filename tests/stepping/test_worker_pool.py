@@ -98,7 +98,7 @@ def chunks_of(slices, monkeypatch):
             )
         ]
     )
-    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(worker_pool, "SERIAL_SECONDS", 0.0)
     assert list(made.step(8))[-1] == 8
     steps_of_items.clear()
     made._chunk_sizer.steps = 1000
@@ -134,3 +134,28 @@ def test_steps_without_duration_are_split_into_several_chunks(monkeypatch):
     assert done[-1] == 10**5
     # Two threads share 64 items; the last one may be half as long again.
     assert 2**10 <= max(later - earlier for earlier, later in itertools.pairwise(done)) <= 1.5 * 2**10
+
+
+def test_slow_steps_of_few_environments_use_all_threads():
+    """Whether threads pay off follows from the measured duration of steps, not from the number of environments."""
+    log = []
+
+    class Slow(Stepper):
+        def step(self, chunks):
+            time.sleep(2 * worker_pool.SERIAL_SECONDS)
+            super().step(chunks)
+
+    share = worker_pool.DeviceShare(
+        [slice(k, k + 1) for k in range(2)], [Slow("cpu", True, log) for _ in range(2)]
+    )
+    made = worker_pool.WorkerPool([share])
+    list(made.step(8))
+    assert [alone for _, alone in log] == [True, True]
+    log.clear()
+    list(made.step(8))
+    assert [alone for _, alone in log] == [False, False]
+    # Shorter steps do not.
+    made._step_seconds = 0.0
+    log.clear()
+    list(made.step(8))
+    assert [alone for _, alone in log] == [True, True]

@@ -31,8 +31,10 @@ _DYNAMIC_SLICES = 4
 # Maximum number of environment-steps of a thread between barriers: a fraction of a second if all environments are
 # active. Frozen environments take no time until they are reset, so the measured time alone is no bound.
 _MAX_ENV_STEPS = 2**21
-# Number of environment-steps below which starting threads takes longer than it saves.
-SERIAL_ENV_STEPS = 4096
+# Duration of steps on one thread [s] below which starting threads takes longer than it saves.
+SERIAL_SECONDS = 4e-4
+# Duration of a step of an environment that is assumed before the first chunk has been measured [s].
+_ASSUMED_SECONDS = 1e-7
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ class WorkerPool:
         self._last_item_fraction = _LAST_ITEM_FRACTION * slices / threads if 1 < threads < slices else 1.0
         self._threads = sum(threads for _, threads in self._thread_groups)
         self._envs = sum(own.stop - own.start for share in shares for own in share.slices)
+        self._step_seconds = _ASSUMED_SECONDS * self._envs  # of a step of all environments on one thread
         max_steps = max(_MIN_STEPS, _MAX_ENV_STEPS * threads // self._envs) if threads else None
         self._chunk_sizer = ChunkSizer(_MIN_STEPS_GPU) if self._gpu_slices else ChunkSizer(_MIN_STEPS, max_steps)
 
@@ -151,6 +154,7 @@ class WorkerPool:
                 after_evaluation = frames is not None and done % frames.every == 0
                 yield done
             self._chunk_sizer.record(steps, took)
+            self._step_seconds = took / steps * (1 if self._is_serial(steps) else self._threads)
 
     def record_frame(self, frames: FrameSchedule) -> None:
         """Records a frame of the current state, the first of ``frames``."""
@@ -163,7 +167,7 @@ class WorkerPool:
 
     def _is_serial(self, count: int) -> bool:
         """Returns whether one thread takes ``count`` steps faster than several threads can be started."""
-        return self._threads < 2 or count * self._envs < SERIAL_ENV_STEPS
+        return self._threads < 2 or count * self._step_seconds < SERIAL_SECONDS
 
     def _item_lengths(self, steps: int) -> list[int]:
         """Returns the steps of consecutive work items: each is half of the remaining steps, down to a minimum."""

@@ -297,7 +297,7 @@ def test_nonsmooth_particles_are_bitwise_identical_for_any_slices_threads_and_gr
     settled, options, device, monkeypatch
 ):
     monkeypatch.setattr(requirements, "MAX_SLICE", 1)
-    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(worker_pool, "SERIAL_SECONDS", 0.0)
     model = start(0.3 * RADIUS, device)
     simulation = wc.Simulation(model, STEP, INTEGRATOR, **options)
     simulation.step(40)
