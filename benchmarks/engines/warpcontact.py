@@ -66,6 +66,7 @@ class NonsmoothRun(Simulated):
             model[f"box{number}.linear_velocity"] = scene.velocities(envs)
         self._gaps = [f"touch{number}.gap" for number in range(scene.boxes)]
         self._sim = wc.Simulation(model, DT, wc.integrators.MoreauJean(solver=variant), threads=threads)
+        self._sim.compile()
 
     def sanity(self, steps: int) -> dict[str, float]:
         model = self._sim.model
@@ -125,6 +126,7 @@ class BodyContactRun(Simulated):
         integrator = wc.integrators.MoreauJean() if nonsmooth else wc.integrators.SemiImplicitEuler()
         self._substeps = 1 if nonsmooth else bodies.COMPLIANT_SUBSTEPS
         self._sim = wc.Simulation(model, bodies.DT / self._substeps, integrator, threads=threads)
+        self._sim.compile()
 
     def step(self, count: int) -> None:
         self._sim.step(count * self._substeps)
