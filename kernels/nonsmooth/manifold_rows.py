@@ -60,6 +60,22 @@ def manifold_rows(real: type) -> wp.Kernel:
                     return True
         return False
 
+    @wp.func
+    def height_of_patch(manifold_points: ManifoldPoints, env: int, start: int, end: int, slot: int):
+        """Returns the distance along the normal from a point to the deepest point of its patch [m].
+
+        It is 0 if the distance exceeds the difference of their gaps, as on curved patches.
+        """
+        normal = manifold_points.normal[env, slot]
+        gap = manifold_points.gap[env, slot]
+        deepest = wp.int32(slot)
+        for other in range(start, end):
+            if manifold_points.is_present[env, other] == 1 and manifold_points.normal[env, other] == normal:
+                if manifold_points.gap[env, other] < manifold_points.gap[env, deepest]:
+                    deepest = other
+        height = wp.dot(normal, manifold_points.arm_1[env, deepest] - manifold_points.arm_1[env, slot])
+        return wp.where(wp.abs(height) <= gap - manifold_points.gap[env, deepest], height, zero)
+
     @unique_kernel()
     def add_manifold_rows(
         launch: LaunchRange,
@@ -100,9 +116,14 @@ def manifold_rows(real: type) -> wp.Kernel:
                     if manifold_points.is_present[env, slot] == 0:
                         continue
                     gap = manifold_points.gap[env, slot]
+                    normal = manifold_points.normal[env, slot]
                     arm_1 = manifold_points.arm_1[env, slot]
                     arm_2 = manifold_points.arm_2[env, slot]
-                    normal = manifold_points.normal[env, slot]
+                    if gap > contact_gap:
+                        # A rigid body cannot stick at points of different heights while one of them closes.
+                        shift = height_of_patch(manifold_points, env, start, end, slot) * normal
+                        arm_1 += shift
+                        arm_2 += shift
                     add(
                         state, rows, solve_result, stored_impulses, statistics, env, first + slot,
                         material[env, first_material + number], body_1, body_2, arm_1, arm_2, normal, gap, recovery,

@@ -284,3 +284,19 @@ def test_margin_shows_larger_gaps_and_does_not_change_the_motion(device):
         position = model.sensor(f"{body}.position")
         np.testing.assert_allclose(position[1], position[0], atol=1e-12)
         np.testing.assert_allclose(position[:, 2], 0.1, atol=1e-9)
+
+
+def test_points_that_close_act_in_the_plane_of_the_deepest_point_of_their_patch(device):
+    """Points of different heights could not stick while one of them closes: friction would grow until one slips."""
+    model = cube_on("box", mesh=True, envs=3, device=device)
+    tilts = np.array([1e-3, 1e-4, 1e-5])
+    model["cube.orientation"] = Rotation.from_rotvec(tilts[:, None] * [[0.0, 1.0, 0.0]]).as_quat()
+    # The lower edge is 1 µm deep.
+    model["cube.position"] = np.outer(SIDE / 2 * (np.cos(tilts) + np.sin(tilts)) - 1e-6, (0, 0, 1))
+    wc.Simulation(model, dt=1e-3, integrator=moreau_jean()).step(1)
+    rows = model.nonsmooth.rows.numpy()[:, :4]
+    # Gap over step, but for half of the gap at which a point counts as closed.
+    np.testing.assert_allclose(-rows["recovery"].min(axis=1), (SIDE * tilts - 1e-6) / 1e-3, rtol=1e-3)
+    heights = np.einsum("eij,eij->ei", rows["arm_1"], rows["normal"])
+    # Rounding of the arms.
+    assert np.ptp(heights, axis=1).max() < 1e-15
