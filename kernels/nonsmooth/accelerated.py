@@ -31,6 +31,7 @@ def scratch(real: type, rolls: bool) -> Struct:
 
     @wp.struct
     class Scratch:
+        row: wp.int32  # its index among the rows of the environment
         rho: real  # effective mass ρ at the contact, 3 over the trace of its block [kg]
         free: vec3  # q, W [m/s]
         previous: vec3  # impulse of the previous iteration, W [N·s]
@@ -68,10 +69,11 @@ def kernel(
         has_joints: Whether some bodies have joints.
         rolls: Whether any contact has rolling or spinning resistance.
         is_soft: Whether any contact has a compliance.
-        is_fallback: Whether it runs after another solver that did not converge. It then reverts the
-            ``velocity_change`` of that solver and continues its iteration count.
-        is_start: Whether it runs before another solver, where ``load_sharing.py`` cleared warm starts. It then returns
-            the last iterate as the warm start of that solver, and changes nothing else.
+        is_fallback: Whether it runs after another solver that did not converge. It then solves the rows that are
+            marked as unsolved, reverts the ``velocity_change`` of their bodies and continues the iteration count.
+        is_start: Whether it runs before another solver, where ``load_sharing.py`` cleared warm starts. It then changes
+            the impulses of the marked rows, with those of others held fixed, and nothing else. The last iterate is the
+            warm start of that solver.
 
     Starts from the warm start in ``rows``. Stops at the tolerance, when rounding prevents a smaller residual, or
     after ``iterations`` iterations; then it returns the iterate with the smallest residual.
@@ -113,6 +115,31 @@ def kernel(
     ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))
     LARGEST = wp.constant(real(float(rounding.max)))
 
+    @wp.func
+    def revert_body(body_response: BodyResponse, velocity_change: VelocityChange, env: int, body: int):
+        """Reverts the velocity change of a body."""
+        if body >= 0:
+            body_response[env, body].linear = body_response[env, body].linear - velocity_change[env, body].linear
+            body_response[env, body].angular = (
+                body_response[env, body].angular - velocity_change[env, body].angular
+            )
+            velocity_change[env, body].linear = vec3()
+            velocity_change[env, body].angular = vec3()
+            velocity_change[env, body].speed_squared = zero
+
+    @wp.func
+    def revert_unsolved(
+        rows: Rows, body_response: BodyResponse, velocity_change: VelocityChange, env: int, count: int
+    ):
+        """Reverts the velocity changes of bodies with unsolved rows; those of others are kept, and set to zero."""
+        for row in range(count):
+            if rows[env, row].is_unsolved == 1:
+                revert_body(body_response, velocity_change, env, rows[env, row].body_1)
+                revert_body(body_response, velocity_change, env, rows[env, row].body_2)
+        for body in range(velocity_change.shape[1]):
+            velocity_change[env, body].linear = vec3()
+            velocity_change[env, body].angular = vec3()
+
     @unique_kernel()
     def accelerated(
         launch: LaunchRange,
@@ -137,31 +164,36 @@ def kernel(
                 if solve_result.converged[env] == 1:
                     continue
                 earlier_iterations = solve_result.iterations[env]
-                for body in range(velocity_change.shape[1]):
-                    body_response[env, body].linear = (
-                        body_response[env, body].linear - velocity_change[env, body].linear
-                    )
-                    body_response[env, body].angular = (
-                        body_response[env, body].angular - velocity_change[env, body].angular
-                    )
+                revert_unsolved(rows, body_response, velocity_change, env, solve_result.count[env])
             count = solve_result.count[env]
             if count == 0:
                 if wp.static(not is_start):
                     report_solve(solve_result, env, zero, 0, 1)
                 continue
 
-            clear_change(velocity_change, env)
+            if wp.static(not is_fallback):
+                clear_change(velocity_change, env)
+            solved_rows = wp.int32(0)
             finite = zero  # finite only if all terms are
             for row in range(count):
+                if wp.static(is_fallback):
+                    if rows[env, row].is_unsolved == 0:
+                        continue
                 free, rho, trace, size = initialize_row(rows, body_response, velocity_change, env, row, tolerance)
                 finite += size
+                if wp.static(is_start):
+                    if rows[env, row].is_unsolved == 0:
+                        continue
+                index = solved_rows
+                solved_rows += 1
                 if wp.static(is_soft):
                     if rho > zero:
                         # Steps must be short enough for the softest direction.
                         rho = three / (trace + three * rows[env, row].softness)
-                scratch[env, row].rho = rho
-                scratch[env, row].free = free
-                scratch[env, row].previous = rows[env, row].impulse
+                scratch[env, index].row = row
+                scratch[env, index].rho = rho
+                scratch[env, index].free = free
+                scratch[env, index].previous = rows[env, row].impulse
                 if wp.static(rolls):
                     body_1 = rows[env, row].body_1
                     body_2 = rows[env, row].body_2
@@ -171,9 +203,9 @@ def kernel(
                     arm = zero
                     if turning_trace > zero and rho > zero:
                         arm = wp.sqrt(trace / turning_trace)
-                        scratch[env, row].couple_before = rows[env, row].couple / arm
-                    scratch[env, row].arm = arm
-                    scratch[env, row].turning_free = arm * spin_after(body_response, env, body_1, body_2)
+                        scratch[env, index].couple_before = rows[env, row].couple / arm
+                    scratch[env, index].arm = arm
+                    scratch[env, index].turning_free = arm * spin_after(body_response, env, body_1, body_2)
             if not wp.isfinite(finite):
                 if wp.static(not is_start):
                     report_solve(solve_result, env, finite, 0, 0)
@@ -194,37 +226,38 @@ def kernel(
                 curvature = zero
                 step_norm = zero
                 uphill = zero
-                for row in range(count):
+                for index in range(solved_rows):
+                    row = scratch[env, index].row
                     body_1 = rows[env, row].body_1
                     body_2 = rows[env, row].body_2
                     n = rows[env, row].normal
                     mu = rows[env, row].mu
-                    rho = scratch[env, row].rho
+                    rho = scratch[env, index].rho
                     impulse = rows[env, row].impulse
-                    w = scratch[env, row].free + velocity_change_at(
+                    w = scratch[env, index].free + velocity_change_at(
                         velocity_change, env, body_1, rows[env, row].arm_1
                     )
                     w -= velocity_change_at(velocity_change, env, body_2, rows[env, row].arm_2)
                     if wp.static(is_soft):
                         w += soft_velocity(rows, env, row, impulse)
-                    scratch[env, row].velocity = w
+                    scratch[env, index].velocity = w
                     scale = wp.max(
                         residual_scale(velocity_change, env, body_1, body_2, rho), wp.length_sq(impulse)
                     )
                     worst = wp.max(worst, residual_squared(impulse, w, n, mu, rho) / scale)
-                    step = impulse - scratch[env, row].trial
-                    trial_w = scratch[env, row].velocity_trial
+                    step = impulse - scratch[env, index].trial
+                    trial_w = scratch[env, index].velocity_trial
                     if rho > zero and steps > 0:
                         curvature += wp.dot(step, w - trial_w)
                         step_norm += wp.length_sq(step) / rho
-                        uphill += wp.dot(de_saxce_velocity(trial_w, n, mu), impulse - scratch[env, row].previous)
+                        uphill += wp.dot(de_saxce_velocity(trial_w, n, mu), impulse - scratch[env, index].previous)
                     if wp.static(rolls):
-                        arm = scratch[env, row].arm
+                        arm = scratch[env, index].arm
                         if arm > zero:
-                            turning = scratch[env, row].turning_free + arm * relative_spin_change(
+                            turning = scratch[env, index].turning_free + arm * relative_spin_change(
                                 velocity_change, env, body_1, body_2
                             )
-                            scratch[env, row].spin = turning
+                            scratch[env, index].spin = turning
                             couple = rows[env, row].couple / arm
                             normal = wp.max(wp.dot(impulse, n), zero) / arm
                             rolling = rows[env, row].rolling
@@ -234,25 +267,26 @@ def kernel(
                             )
                             worst = wp.max(worst, wp.length_sq(projected - couple) / scale)
                             if steps > 0:
-                                step = couple - scratch[env, row].couple_trial
-                                trial_turning = scratch[env, row].spin_trial
+                                step = couple - scratch[env, index].couple_trial
+                                trial_turning = scratch[env, index].spin_trial
                                 curvature += wp.dot(step, turning - trial_turning)
                                 step_norm += wp.length_sq(step) / rho
                                 along = wp.dot(trial_turning, n)
                                 lift = rolling * wp.length(trial_turning - along * n) + spinning * wp.abs(along)
-                                impulse_step = impulse - scratch[env, row].previous
+                                impulse_step = impulse - scratch[env, index].previous
                                 uphill += lift / arm * wp.dot(impulse_step, n)
-                                uphill += wp.dot(trial_turning, couple - scratch[env, row].couple_before)
+                                uphill += wp.dot(trial_turning, couple - scratch[env, index].couple_before)
                 if worst <= target:
                     break
                 stalled += 1
                 if worst < smallest_residual:
                     smallest_residual = worst
                     stalled = 0
-                    for row in range(count):
-                        scratch[env, row].best = rows[env, row].impulse
+                    for index in range(solved_rows):
+                        row = scratch[env, index].row
+                        scratch[env, index].best = rows[env, row].impulse
                         if wp.static(rolls):
-                            scratch[env, row].couple_best = rows[env, row].couple
+                            scratch[env, index].couple_best = rows[env, row].couple
                 if steps >= iterations or (stalled >= PATIENCE and smallest_residual < ROUNDING * ROUNDING):
                     break
 
@@ -263,38 +297,39 @@ def kernel(
                 if uphill > zero:
                     theta = one
                 theta, beta = nesterov_step(theta)
-                for row in range(count):
-                    rho = scratch[env, row].rho
+                for index in range(solved_rows):
+                    row = scratch[env, index].row
+                    rho = scratch[env, index].rho
                     if rho > zero:
                         n = rows[env, row].normal
                         mu = rows[env, row].mu
                         impulse = rows[env, row].impulse
-                        w = scratch[env, row].velocity
+                        w = scratch[env, index].velocity
                         trial = impulse
                         trial_w = w
                         if beta > zero:
-                            trial += beta * (impulse - scratch[env, row].previous)
-                            trial_w += beta * (w - scratch[env, row].velocity_before)
-                        scratch[env, row].previous = impulse
-                        scratch[env, row].velocity_before = w
-                        scratch[env, row].trial = trial
-                        scratch[env, row].velocity_trial = trial_w
+                            trial += beta * (impulse - scratch[env, index].previous)
+                            trial_w += beta * (w - scratch[env, index].velocity_before)
+                        scratch[env, index].previous = impulse
+                        scratch[env, index].velocity_before = w
+                        scratch[env, index].trial = trial
+                        scratch[env, index].velocity_trial = trial_w
                         new = trial - length * rho * de_saxce_velocity(trial_w, n, mu)
                         couple_step = vec3()
                         if wp.static(rolls):
-                            arm = scratch[env, row].arm
+                            arm = scratch[env, index].arm
                             if arm > zero:
                                 couple = rows[env, row].couple / arm
-                                turning = scratch[env, row].spin
+                                turning = scratch[env, index].spin
                                 trial = couple
                                 trial_turning = turning
                                 if beta > zero:
-                                    trial += beta * (couple - scratch[env, row].couple_before)
-                                    trial_turning += beta * (turning - scratch[env, row].spin_before)
-                                scratch[env, row].couple_before = couple
-                                scratch[env, row].spin_before = turning
-                                scratch[env, row].couple_trial = trial
-                                scratch[env, row].spin_trial = trial_turning
+                                    trial += beta * (couple - scratch[env, index].couple_before)
+                                    trial_turning += beta * (turning - scratch[env, index].spin_before)
+                                scratch[env, index].couple_before = couple
+                                scratch[env, index].spin_before = turning
+                                scratch[env, index].couple_trial = trial
+                                scratch[env, index].spin_trial = trial_turning
                                 rolling = rows[env, row].rolling / arm
                                 spinning = rows[env, row].spinning / arm
                                 along = wp.dot(trial_turning, n)
@@ -322,18 +357,20 @@ def kernel(
             if worst > smallest_residual:
                 # Return to the best iterate.
                 worst = smallest_residual
-                for row in range(count):
-                    step = scratch[env, row].best - rows[env, row].impulse
+                for index in range(solved_rows):
+                    row = scratch[env, index].row
+                    step = scratch[env, index].best - rows[env, row].impulse
                     couple_step = vec3()
-                    rows[env, row].impulse = scratch[env, row].best
+                    rows[env, row].impulse = scratch[env, index].best
                     if wp.static(rolls):
-                        couple_step = scratch[env, row].couple_best - rows[env, row].couple
-                        rows[env, row].couple = scratch[env, row].couple_best
+                        couple_step = scratch[env, index].couple_best - rows[env, row].couple
+                        rows[env, row].couple = scratch[env, index].couple_best
                     apply_row_wrench(rows, body_response, velocity_change, env, row, step, couple_step)
 
             apply_change(body_response, velocity_change, env)
-            report_solve(
-                solve_result, env, wp.sqrt(worst), earlier_iterations + steps, wp.where(worst <= target, 1, 0)
-            )
+            residual = wp.sqrt(worst)
+            if wp.static(is_fallback):
+                residual = wp.max(residual, solve_result.solved_residual[env])
+            report_solve(solve_result, env, residual, earlier_iterations + steps, wp.where(worst <= target, 1, 0))
 
     return accelerated

@@ -7,7 +7,8 @@ they lead to a solution near the one of least norm. The impulses are then carrie
 
 So the warm starts of two bodies with several contacts of similar normals are cleared if one of these contacts is new, or
 violates the contact law by more than ``MAX_RESIDUAL`` although the last solve converged, as after an impact.
-``START_ITERATIONS`` steps of ``accelerated.py`` then precede the first sweep. Other pairs keep their warm starts.
+``START_ITERATIONS`` steps of ``accelerated.py`` then precede the first sweep and change these impulses only. Other pairs
+keep their warm starts.
 """
 
 import functools
@@ -115,11 +116,14 @@ def clear_warm_starts(real: type, has_joints: bool, rolls: bool, is_soft: bool =
                         rows[env, row].is_new = 1
             cleared = wp.int32(0)
             for row in range(count):
+                rows[env, row].is_unsolved = 0
+            for row in range(count):
                 if rows[env, row].is_new == 0:
                     continue
                 for other_row in range(count):
                     if other_row != row and share_load(rows, env, row, other_row):
                         cleared = 1
+                        rows[env, other_row].is_unsolved = 1
                         rows[env, other_row].impulse = vec3()
                         rows[env, other_row].couple = vec3()
             solve_result.was_cleared[env] = cleared

@@ -20,15 +20,15 @@ from warpcontact.kernels.types import structs
 class Functions(NamedTuple):
     """Device functions of bodies that come to rest."""
 
-    #: ``(body_response, velocity_change, env)``: whether all bodies in contact were at rest before the step.
+    #: ``(body_response, velocity_change, env, island)``: whether all bodies of an island were at rest before the step.
     at_rest: wp.Function
-    #: ``(rows, body_response, velocity_change, scratch, env, count)``: stops all bodies in contact. Returns 1 on
-    #: success, and 0 if it changed nothing. In each pair of bodies in contact, the one with the larger index must
-    #: be supported by the other one only; their contacts must be consecutive rows and not collinear. ``before``
-    #: and ``last_sweep`` of ``scratch`` are overwritten by the impulse.
+    #: ``(body_response, velocity_change, scratch, env, island, first, end)``: stops all bodies of an island, the rows
+    #: of which are ``first`` to ``end`` of ``scratch``. Returns 1 on success, and 0 if it changed nothing. In each pair
+    #: of bodies in contact, the one with the larger index must be supported by the other one only; their contacts must be
+    #: consecutive rows and not collinear. ``last_impulse`` of ``scratch`` is overwritten.
     solve_rest: wp.Function
-    #: ``(rows, body_response, velocity_change, env, count, solved)``: removes, after a solve, rounding errors of
-    #: the velocity of stopped bodies and of bodies that were at rest.
+    #: ``(body_response, velocity_change, scratch, env, island, first, end, solved)``: removes, after a solve, rounding
+    #: errors of the velocity of stopped bodies and of bodies that were at rest.
     zero_rest_velocities: wp.Function
 
 
@@ -36,42 +36,43 @@ class Functions(NamedTuple):
 def functions(real: type, Scratch: type) -> Functions:
     """Returns the device functions for ``real``; all bodies must be free. ``Scratch`` is the struct of a row."""
     vec3, mat33 = structs(real).vec3, structs(real).mat33
-    Rows, _, BodyResponse, VelocityChange = solve_types(real, False)
+    _, _, BodyResponse, VelocityChange = solve_types(real, False)
     Scratches = wp.array2d(dtype=Scratch)
     f = velocity_update.functions(real, False)
-    invert_symmetric, apply_row_impulse = f.invert_symmetric, f.apply_row_impulse
+    invert_symmetric, apply_impulse_pair = f.invert_symmetric, f.apply_impulse_pair
     # Velocity over that without contact: rounding error of impulses.
     ROUNDING = wp.constant(real(16.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
     ROUNDED_UP = wp.constant(real(1.0 + 4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
     zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
 
     @wp.func
-    def at_rest(body_response: BodyResponse, velocity_change: VelocityChange, env: int):
-        for body in range(velocity_change.shape[1]):
+    def at_rest(body_response: BodyResponse, velocity_change: VelocityChange, env: int, island: int):
+        body = wp.int32(island)
+        while body >= 0:
             if velocity_change[env, body].speed_squared != zero and body_response[env, body].at_rest == 0:
                 return 0
+            body = velocity_change[env, body].next_member
         return 1
 
     @wp.func
-    def load_weight(rows: Rows, env: int, row: int, by_load: int):
+    def load_weight(rows: Scratches, env: int, row: int, by_load: int):
         """Returns the weight of a row in the distribution of the impulse of its body."""
-        if rows[env, row].recovery < zero:
+        if rows[env, row].is_open == 1:
             # An open contact carries no load.
             return zero
         return wp.where(by_load == 1, wp.dot(rows[env, row].impulse, rows[env, row].normal), one)
 
     @wp.func
     def distribute(
-        rows: Rows,
+        rows: Scratches,
         velocity_change: VelocityChange,
-        scratch: Scratches,
         env: int,
         first: int,
         last: int,
         body: int,
         by_load: int,
     ):
-        """Writes the impulses of rows that stop ``body`` to ``before``; returns whether they are in their cones.
+        """Writes the impulses of rows that stop ``body`` to ``last_impulse``; returns whether they are in their cones.
 
         Also returns the angular impulse of the added impulses on the other body, about its center of mass.
         """
@@ -116,15 +117,14 @@ def functions(real: type, Scratch: type) -> Functions:
             within_cone = along >= zero and wp.length_sq(new - along * rows[env, row].normal) <= limit * limit
             if not within_cone:
                 return 0, angular_impulse
-            scratch[env, row].before = new
+            rows[env, row].last_impulse = new
             angular_impulse += wp.cross(arm_on_other, added)
         return 1, angular_impulse
 
     @wp.func
     def stop_body(
-        rows: Rows,
+        rows: Scratches,
         velocity_change: VelocityChange,
-        scratch: Scratches,
         env: int,
         first: int,
         last: int,
@@ -138,9 +138,9 @@ def functions(real: type, Scratch: type) -> Functions:
         """
         if velocity_change[env, body].is_stopped == 1:
             return 0
-        solved, angular_impulse = distribute(rows, velocity_change, scratch, env, first, last, body, 0)
+        solved, angular_impulse = distribute(rows, velocity_change, env, first, last, body, 0)
         if solved == 0:
-            solved, angular_impulse = distribute(rows, velocity_change, scratch, env, first, last, body, 1)
+            solved, angular_impulse = distribute(rows, velocity_change, env, first, last, body, 1)
         if solved == 0:
             return 0
         velocity_change[env, body].is_stopped = 1
@@ -157,42 +157,45 @@ def functions(real: type, Scratch: type) -> Functions:
 
     @wp.func
     def propagate_loads(
-        rows: Rows,
         body_response: BodyResponse,
         velocity_change: VelocityChange,
-        scratch: Scratches,
+        rows: Scratches,
         env: int,
-        count: int,
+        island: int,
+        first_row: int,
+        end_row: int,
     ):
-        for body in range(velocity_change.shape[1]):
-            inertia, invertible = invert_symmetric(body_response[env, body].inverse_inertia)
-            velocity_change[env, body].is_stopped = 0
+        member = wp.int32(island)
+        while member >= 0:
+            inertia, invertible = invert_symmetric(body_response[env, member].inverse_inertia)
+            velocity_change[env, member].is_stopped = 0
             if invertible == 0:
                 # Without an inverse inertia the body cannot be stopped.
                 return 0
-            mass = one / body_response[env, body].inverse_mass
-            velocity_change[env, body].stop_impulse = -mass * (
-                body_response[env, body].linear + velocity_change[env, body].linear
+            mass = one / body_response[env, member].inverse_mass
+            velocity_change[env, member].stop_impulse = -mass * (
+                body_response[env, member].linear + velocity_change[env, member].linear
             )
-            velocity_change[env, body].stop_angular_impulse = -(
-                inertia * (body_response[env, body].angular + velocity_change[env, body].angular)
+            velocity_change[env, member].stop_angular_impulse = -(
+                inertia * (body_response[env, member].angular + velocity_change[env, member].angular)
             )
-        last = count
-        while last > 0:
+            member = velocity_change[env, member].next_member
+        last = wp.int32(end_row)
+        while last > first_row:
             body_1 = rows[env, last - 1].body_1
             body_2 = rows[env, last - 1].body_2
             first = last - 1
-            while first > 0:
+            while first > first_row:
                 if rows[env, first - 1].body_1 != body_1 or rows[env, first - 1].body_2 != body_2:
                     break
                 first -= 1
             body = wp.max(body_1, body_2)
             if body < 0:
                 return 0
-            if stop_body(rows, velocity_change, scratch, env, first, last, body, wp.min(body_1, body_2)) == 0:
+            if stop_body(rows, velocity_change, env, first, last, body, wp.min(body_1, body_2)) == 0:
                 return 0
             last = first
-        for row in range(count):
+        for row in range(first_row, end_row):
             other_body = wp.min(rows[env, row].body_1, rows[env, row].body_2)
             if other_body >= 0:
                 if velocity_change[env, other_body].is_stopped == 0:
@@ -201,22 +204,24 @@ def functions(real: type, Scratch: type) -> Functions:
 
     @wp.func
     def solve_rest(
-        rows: Rows,
         body_response: BodyResponse,
         velocity_change: VelocityChange,
-        scratch: Scratches,
+        rows: Scratches,
         env: int,
-        count: int,
+        island: int,
+        first: int,
+        end: int,
     ):
-        solved = propagate_loads(rows, body_response, velocity_change, scratch, env, count)
-        for row in range(count):
-            if solved == 1:
-                new = scratch[env, row].before
+        solved = propagate_loads(body_response, velocity_change, rows, env, island, first, end)
+        if solved == 1:
+            for row in range(first, end):
+                new = rows[env, row].last_impulse
                 step = new - rows[env, row].impulse
                 rows[env, row].impulse = new
-                apply_row_impulse(rows, body_response, velocity_change, env, row, step)
-            scratch[env, row].before = rows[env, row].impulse
-            scratch[env, row].last_sweep = rows[env, row].impulse
+                apply_impulse_pair(
+                    body_response, velocity_change, env, rows[env, row].body_1, rows[env, row].body_2, step,
+                    wp.cross(rows[env, row].arm_1, step), -wp.cross(rows[env, row].arm_2, step),
+                )  # fmt: skip
         return solved
 
     @wp.func
@@ -235,11 +240,19 @@ def functions(real: type, Scratch: type) -> Functions:
         return wp.max(wp.length_sq(body_response[env, body].linear), angular_impulse)
 
     @wp.func
-    def is_resting(rows: Rows, body_response: BodyResponse, velocity_change: VelocityChange, env: int, count: int):
-        """Returns whether all bodies in contact were at rest and move by rounding errors only."""
-        if at_rest(body_response, velocity_change, env) == 0:
+    def is_resting(
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        rows: Scratches,
+        env: int,
+        island: int,
+        first: int,
+        end: int,
+    ):
+        """Returns whether all bodies of an island were at rest and move by rounding errors only."""
+        if at_rest(body_response, velocity_change, env, island) == 0:
             return 0
-        for row in range(count):
+        for row in range(first, end):
             one_body = rows[env, row].body_1
             other_body = rows[env, row].body_2
             smallest_speed_squared = real(wp.inf)
@@ -258,15 +271,24 @@ def functions(real: type, Scratch: type) -> Functions:
 
     @wp.func
     def zero_rest_velocities(
-        rows: Rows, body_response: BodyResponse, velocity_change: VelocityChange, env: int, count: int, solved: int
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        rows: Scratches,
+        env: int,
+        island: int,
+        first: int,
+        end: int,
+        solved: int,
     ):
         at_rest_now = solved
         if at_rest_now == 0:
-            at_rest_now = is_resting(rows, body_response, velocity_change, env, count)
+            at_rest_now = is_resting(body_response, velocity_change, rows, env, island, first, end)
         if at_rest_now == 1:
-            for body in range(velocity_change.shape[1]):
+            body = wp.int32(island)
+            while body >= 0:
                 if velocity_change[env, body].speed_squared != zero:
                     body_response[env, body].linear = vec3()
                     body_response[env, body].angular = vec3()
+                body = velocity_change[env, body].next_member
 
     return Functions(at_rest=at_rest, solve_rest=solve_rest, zero_rest_velocities=zero_rest_velocities)

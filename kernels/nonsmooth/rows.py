@@ -48,6 +48,7 @@ def row_structs(real: type) -> RowStructs:
         impulse: vec3  # on the first; before a solve the warm start, W [N·s]
         couple: vec3  # of rolling and spinning, on the first, likewise [N·m·s]
         is_new: wp.int32  # 1: the contact was not active in the last step, or its warm start is bad
+        is_unsolved: wp.int32  # 1: ``accelerated.py`` changes its impulse before or after another solver
 
     @wp.struct
     class SolveResult:
@@ -59,6 +60,7 @@ def row_structs(real: type) -> RowStructs:
         residual: wp.array(dtype=real)  # [env] of ``cone.residual``, relative as in ``solver_common.py``
         iterations: wp.array(dtype=wp.int32)  # [env]
         converged: wp.array(dtype=wp.int32)  # [env] 1: the tolerance was reached
+        solved_residual: wp.array(dtype=real)  # [env] that of rows that are not marked as unsolved
         was_cleared: wp.array(dtype=wp.int32)  # [env] 1: warm starts were cleared, see ``load_sharing.py``
 
     return RowStructs(Row=Row, Rows=wp.array2d(dtype=Row), SolveResult=SolveResult)
@@ -104,6 +106,10 @@ def velocity_change_struct(real: type) -> type:
         stop_impulse: vec3  # impulse that stops it, see ``rest_impulses.py``, W [N·s]
         stop_angular_impulse: vec3  # likewise, about its center of mass, W [N·m·s]
         is_stopped: wp.int32  # 1: contacts that stop it were found
+        island: wp.int32  # its island, see ``islands.py``: the index of the first body in it
+        next_member: wp.int32  # next body of its island; -1: none
+        next_row: wp.int32  # of the first body of an island: end of its rows in the order of islands
+        is_mobile: wp.int32  # 1: impulses move it
 
     return VelocityChange
 

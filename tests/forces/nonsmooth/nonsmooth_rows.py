@@ -194,6 +194,7 @@ class Step:
         moving = records(body_response_struct(real, self.has_joints), values)
         outcome.count = wp.full(envs, len(self.rows), dtype=wp.int32, device=DEVICE)
         outcome.slack = wp.zeros(envs, dtype=real, device=DEVICE)
+        outcome.solved_residual = wp.zeros(envs, dtype=real, device=DEVICE)
         outcome.residual = wp.full(envs, -1.0, dtype=real, device=DEVICE)
         outcome.iterations = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)
         outcome.converged = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from nonsmooth_rows import UP, Row, Step
-from warpcontact.kernels.nonsmooth import gauss_seidel
+from warpcontact.kernels.nonsmooth import gauss_seidel, row_solution
 from warpcontact.kernels.types import WORLD
 
 
@@ -11,12 +11,16 @@ from warpcontact.kernels.types import WORLD
 def by_equation(monkeypatch):
     """Solves a step without the search over directions."""
 
-    def solve(step, **options):
-        monkeypatch.setattr(gauss_seidel, "MAX_SLIP_ITERATIONS", 0)
+    def clear_caches():
         gauss_seidel.kernel.cache_clear()
+        row_solution.functions.cache_clear()
+
+    def solve(step, **options):
+        monkeypatch.setattr(row_solution, "MAX_SLIP_ITERATIONS", 0)
+        clear_caches()
         result = step.solve("gauss_seidel", **options)
         monkeypatch.undo()
-        gauss_seidel.kernel.cache_clear()
+        clear_caches()
         return result
 
     return solve

@@ -76,9 +76,9 @@ class MoreauJean(Integrator):
         theta: θ in [½, 1]. θ = ½ conserves energy between impacts.
         solver: ``"gauss_seidel"``: one contact after the other. ``"accelerated"``: all contacts simultaneously, by
             projected gradients with momentum, for heavy bodies on light ones and statically indeterminate supports.
-            ``"auto"``: the first, then the second in environments where the first did not converge. If two bodies have
-            several contacts and these or their load have changed, accelerated steps from zero come first, so that all
-            contacts share the load.
+            ``"auto"``: the first, then the second for sets of bodies in contact where the first did not converge. If two
+            bodies have several contacts and these or their load have changed, accelerated steps from zero come first, so
+            that all contacts share the load.
         iterations: Maximum number of iterations per step. Default: 200 (``"gauss_seidel"``), 2000
             (``"accelerated"``).
         tolerance: Tolerance of the relative residual. Default: 1e-5 in float32, 1e-8 in float64.
