@@ -1,7 +1,7 @@
-"""Curved solids and edges of polyhedra as shapes of one class, whose separation ``kernels/shapes`` computes.
+"""Curved solids and points as shapes of one class, whose separation ``kernels/shapes`` computes.
 
 A form is an ellipsoid, a cone, or the sum of a disc, a segment and a ball: a cylinder is a disc and a segment, a capsule a
-segment and a ball, an edge a segment. So one search for the direction of the largest separation serves all pairs.
+segment and a ball, a point has neither. So one search for the direction of the largest separation serves all pairs.
 """
 
 from typing import Any, ClassVar
@@ -10,6 +10,7 @@ import warp as wp
 from warpcontact.kernels.body_contact.curved_solids import CAPSULE, CONE, CYLINDER
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry
 from warpcontact.kernels.catalogue.device_model import coefficient_struct, parameter
+from warpcontact.kernels.shapes import convex
 from warpcontact.kernels.shapes.base import Shape, SupportExpansion, half, one, zero
 from warpcontact.kernels.shapes.revolution import disc_expansion
 
@@ -109,6 +110,7 @@ class ConvexForm(Shape):
 
 
 FormCoefficients = coefficient_struct(ConvexForm, double)
+separation = convex.pair_function(ConvexForm, ConvexForm)
 
 
 @wp.func
@@ -135,12 +137,4 @@ def form_of(side: SolidGeometry):
     else:
         form.semi_axes = scale
         form.inner_radius = wp.min(scale)
-    return form
-
-
-@wp.func
-def form_of_edge(half_edge: vec3d):
-    """Returns the form of an edge with the vector ``half_edge`` from its middle to its end [m]."""
-    form = FormCoefficients()
-    form.half_axis = half_edge
     return form

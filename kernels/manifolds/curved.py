@@ -9,21 +9,22 @@ a curved solid as another solid does (``curved_pairs.py``).
 import warp as wp
 from warpcontact.kernels.body_contact.face_trees import next_leaf_in_box, start_traversal
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, corner_count, no_motion
-from warpcontact.kernels.body_contact.surface_queries import (
-    BoundingBox,
-    SolidGeometry,
-    bounding_box,
-    plane_offset,
-)
+from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, bounding_box, plane_offset
 from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, Candidate, Patch, add_candidate
 from warpcontact.kernels.manifolds.collect import Reach
-from warpcontact.kernels.manifolds.convex import EDGE_BIAS, EDGES, NO_REFERENCE
-from warpcontact.kernels.manifolds.curved_pairs import add_edges_of_face
+from warpcontact.kernels.manifolds.convex import EDGE_BIAS, EDGES, NO_REFERENCE, Reference
+from warpcontact.kernels.manifolds.curved_edges import (
+    PERPENDICULAR,
+    EdgeContact,
+    contact_with_edge,
+    is_edge_apart,
+    is_largest_of_all,
+    largest_edge_contact,
+)
+from warpcontact.kernels.manifolds.curved_hull import CurvedHull, hull_of, lowest_of_hull
 from warpcontact.kernels.manifolds.curved_separation import (
     CurvedPair,
-    CurvedSeparation,
     Support,
-    lowest_support,
     separation_of_faces,
     support_points,
 )
@@ -38,15 +39,26 @@ from warpcontact.kernels.manifolds.features import (
     vertex_position,
 )
 from warpcontact.kernels.manifolds.meshes import patch_for
+from warpcontact.kernels.manifolds.separation import height_above_plane
 from warpcontact.kernels.manifolds.support_features import (
     CIRCLE_ENTRY,
     CIRCLE_EXIT,
     COVERED,
     CUT_LINE,
+    FACING_END,
+    FLAT_END,
+    LINE,
     LINE_END,
     LINE_START,
+    LYING,
+    NEAREST_POINT,
+    CommonNormal,
+    SupportFeature,
+    add_common_points,
+    add_pair_of_points,
     end_height,
     flat_end,
+    support_feature,
 )
 
 double = wp.float64
@@ -132,15 +144,15 @@ def add_point(
 
 
 @wp.func
-def distance_inside(geometries: Geometries, own: SolidGeometry, face: int, position: vec3d):
-    """Returns the smallest distance of a point from the edges of a face, in its plane; negative outside [m]."""
-    vertices = geometries.face[face]
-    count = corner_count(vertices)
-    normal = geometries.normal[face]
-    start = vertex_position(geometries, vertices[count - 1], own)
+def distance_inside(
+    geometries: Geometries, features: Features, own: SolidGeometry, outline: int, normal: vec3d, position: vec3d
+):
+    """Returns the smallest distance of a point from the edges of an outline, in its plane; negative outside [m]."""
+    last = features.outline_start[outline + 1]
+    start = vertex_position(geometries, features.outline_vertex[last - 1], own)
     least = double(wp.inf)
-    for i in range(count):
-        end = vertex_position(geometries, vertices[i], own)
+    for i in range(features.outline_start[outline], last):
+        end = vertex_position(geometries, features.outline_vertex[i], own)
         least = wp.min(least, wp.dot(wp.normalize(wp.cross(normal, end - start)), position - start))
         start = end
     return least
@@ -152,6 +164,7 @@ def add_line(
     features: Features,
     pair: CurvedPair,
     face: int,
+    outline: int,
     reference: FaceReference,
     start: vec3d,
     end: vec3d,
@@ -161,19 +174,19 @@ def add_line(
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
-    """Adds the ends of the part of a line of a curved solid that is above a face as candidates."""
-    vertices = geometries.face[face]
-    count = corner_count(vertices)
+    """Adds the ends of the part of a line of a curved solid that is above an outline of a face as candidates."""
     normal = geometries.normal[face]
     tolerance = ON_EDGE * reach.size
     first = double(0.0)
     last = double(1.0)
     first_edge = wp.int32(-1)
     last_edge = wp.int32(-1)
-    for i in range(count):
-        corner = vertex_position(geometries, vertices[i], pair.own)
-        edge = vertex_position(geometries, vertices[wp.where(i == count - 1, 0, i + 1)], pair.own) - corner
-        inward = wp.normalize(wp.cross(normal, edge))
+    last_corner = features.outline_start[outline + 1] - 1
+    corner = vertex_position(geometries, features.outline_vertex[last_corner], pair.own)
+    edge_number = features.outline_edge[last_corner]
+    for i in range(features.outline_start[outline], last_corner + 1):
+        following = vertex_position(geometries, features.outline_vertex[i], pair.own)
+        inward = wp.normalize(wp.cross(normal, following - corner))
         at_start = wp.dot(inward, start - corner) + tolerance
         at_end = wp.dot(inward, end - corner) + tolerance
         if at_start < double(0.0) and at_end < double(0.0):
@@ -182,10 +195,12 @@ def add_line(
             fraction = at_start / (at_start - at_end)
             if at_start < double(0.0) and fraction > first:
                 first = fraction
-                first_edge = features.face_edge[face][i]
+                first_edge = edge_number
             elif at_end < double(0.0) and fraction < last:
                 last = fraction
-                last_edge = features.face_edge[face][i]
+                last_edge = edge_number
+        corner = following
+        edge_number = features.outline_edge[i]
     lowest = wp.min(start_height, end_height)
     # A short part of a deep line is above a side wall.
     if last < first or (last - first) * wp.length(end - start) < -lowest * reference.cosine:
@@ -229,26 +244,32 @@ def add_flat_end(
     features: Features,
     pair: CurvedPair,
     face: int,
+    outline: int,
     reference: FaceReference,
     z: double,
     reach: Reach,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
-    """Adds the vertices of a face below a flat end, and the crossings of its edges with the circular edge, as candidates."""
-    vertices = geometries.face[face]
-    count = corner_count(vertices)
+    """Adds the vertices of an outline below a flat end, and the crossings of its edges with the circular edge, as candidates."""
     normal = geometries.normal[face]
     radius = pair.other.scale[0]
-    for i in range(count):
-        corner = vertex_position(geometries, vertices[i], pair.own)
-        following = vertex_position(geometries, vertices[wp.where(i == count - 1, 0, i + 1)], pair.own)
-        a, a_height = on_end(pair, corner, normal, z)
+    first = features.outline_start[outline]
+    last = features.outline_start[outline + 1] - 1
+    following = vertex_position(geometries, features.outline_vertex[first], pair.own)
+    b, b_height = on_end(pair, following, normal, z)
+    for i in range(first, last + 1):
+        corner = vec3d(following)
+        a = vec3d(b)
+        a_height = double(b_height)
+        following = vertex_position(
+            geometries, features.outline_vertex[wp.where(i == last, first, i + 1)], pair.own
+        )
         b, b_height = on_end(pair, following, normal, z)
         if a[0] * a[0] + a[1] * a[1] <= radius * radius:
             add_point(
-                pair, reference, corner + a_height * normal, a_height, COVERED, vertex_feature(vertices[i]), reach,
-                patches, candidates,
+                pair, reference, corner + a_height * normal, a_height, COVERED,
+                vertex_feature(features.outline_vertex[i]), reach, patches, candidates,
             )  # fmt: skip
         # |a + t (b − a)|² = r² in the plane of the end.
         along = wp.vec2d(b[0] - a[0], b[1] - a[1])
@@ -266,7 +287,7 @@ def add_flat_end(
             height = a_height + t * (b_height - a_height)
             position = corner + t * (following - corner) + height * normal
             number = wp.where(root == 0, CIRCLE_ENTRY, CIRCLE_EXIT)
-            edge = edge_feature(features.face_edge[face][i])
+            edge = edge_feature(features.outline_edge[i])
             add_point(pair, reference, position, height, number, edge, reach, patches, candidates)
 
 
@@ -275,42 +296,47 @@ def add_curved_on_face(
     geometries: Geometries,
     features: Features,
     pair: CurvedPair,
+    hull: CurvedHull,
     face: int,
+    outline: int,
     bias: double,
     reach: Reach,
     supports: wp.array(dtype=Support),
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
-    """Adds the points of a curved solid above a face of a polyhedron as candidates.
+    """Adds the points of a curved solid above an outline of a face of a polyhedron as candidates.
 
-    ``bias``: distance by which the lowest point of a convex pair may be deeper than those above the face [m].
+    ``bias``: distance by which the lowest point of a convex pair may be deeper than those above the outline [m].
     """
     normal = geometries.normal[face]
     offset = plane_offset(geometries, pair.own, face)
+    lowest = wp.dot(normal, lowest_of_hull(hull, normal)) - offset
     direction = -(wp.transpose(pair.pose.rotation) * normal)
     flags = pair.other.flags
-    count, lowest = lowest_support(pair, normal, supports)
-    lowest -= offset
+    side = flat_end(flags, direction)
+    if lowest > reach.margin or (side == 0 and lowest < -reach.depth):
+        return
     reference = FaceReference()
     reference.normal = normal
     reference.cosine = double(1.0)
-    side = flat_end(flags, direction)
     z = end_height(flags, pair.other.scale, side)
     if side != 0:
-        # The flat end is the reference if the whole face is farther from its plane than the end is from that of the face.
+        # The flat end is the reference if the whole outline is farther from its plane than the end is from that of the face.
         middle = moved(pair.pose, vec3d(double(0.0), double(0.0), z))
-        axis = double(side) * (pair.pose.rotation * vec3d(double(0.0), double(0.0), double(1.0)))
-        vertices = geometries.face[face]
+        axis = double(side) * hull.axis
         nearest = double(wp.inf)
-        for i in range(corner_count(vertices)):
-            corner = vertex_position(geometries, vertices[i], pair.own)
+        for i in range(features.outline_start[outline], features.outline_start[outline + 1]):
+            corner = vertex_position(geometries, features.outline_vertex[i], pair.own)
             nearest = wp.min(nearest, wp.dot(axis, corner - middle))
         if nearest > lowest + PREFERENCE * reach.size:
             reference.normal = -axis
             reference.cosine = wp.dot(normal, reference.normal)
             lowest = nearest
-        elif distance_inside(geometries, pair.own, face, middle) + pair.other.scale[0] < -lowest:
+        elif (
+            distance_inside(geometries, features, pair.own, outline, normal, middle) + pair.other.scale[0]
+            < -lowest
+        ):
             # A flat end that extends over the face by less than it is deep touches another face.
             return
     if lowest > reach.margin or lowest < -reach.depth:
@@ -324,27 +350,30 @@ def add_curved_on_face(
     before = patches[reference.patch].count
     gap_before = patches[reference.patch].gap
     patches[reference.patch].gap = double(wp.inf)
+    count = support_points(flags, pair.other.scale, direction, supports)
     start = moved(pair.pose, supports[0].position)
     start_height = wp.dot(normal, start) - offset
     plane = plane_feature(features.face_plane[face])
     tolerance = -ON_EDGE * reach.size
     if count == 1:
-        if distance_inside(geometries, pair.own, face, start) >= tolerance:
+        if distance_inside(geometries, features, pair.own, outline, normal, start) >= tolerance:
             add_point(pair, reference, start, start_height, LINE_START, plane, reach, patches, candidates)
     else:
         end = moved(pair.pose, supports[1].position)
         line_end_height = wp.dot(normal, end) - offset
         add_line(
-            geometries, features, pair, face, reference, start, end, start_height, line_end_height, reach, patches,
-            candidates,
+            geometries, features, pair, face, outline, reference, start, end, start_height, line_end_height, reach,
+            patches, candidates,
         )  # fmt: skip
         for i in range(2, count):
             position = moved(pair.pose, supports[i].position)
-            if distance_inside(geometries, pair.own, face, position) >= tolerance:
-                height = wp.dot(normal, position) - offset
+            height = wp.dot(normal, position) - offset
+            if height * reference.cosine > reach.margin:
+                continue
+            if distance_inside(geometries, features, pair.own, outline, normal, position) >= tolerance:
                 add_point(pair, reference, position, height, supports[i].number, plane, reach, patches, candidates)
         if side != 0:
-            add_flat_end(geometries, features, pair, face, reference, z, reach, patches, candidates)
+            add_flat_end(geometries, features, pair, face, outline, reference, z, reach, patches, candidates)
     # If the lowest point is not above the face, an edge of the face, or of the solid, has the contact.
     if not pair.is_convex:
         bias = FACE_HYSTERESIS * reach.size
@@ -355,35 +384,86 @@ def add_curved_on_face(
 
 
 @wp.func
+def edge_line(geometries: Geometries, features: Features, pair: CurvedPair, contact: EdgeContact):
+    """Returns the ``SupportFeature`` of an edge of the polyhedron with a contact, in the frame of the second solid."""
+    edge = features.edge[contact.edge]
+    feature = SupportFeature()
+    start = vertex_position(geometries, edge[0], pair.own)
+    along = vertex_position(geometries, edge[1], pair.own) - start
+    if wp.abs(wp.dot(contact.normal, along)) <= LYING * wp.length(along):
+        feature.kind = LINE
+    feature.start = moved(pair.second_frame, start)
+    feature.end = moved(pair.second_frame, start + along)
+    feature.start_number = vertex_feature(edge[0])
+    feature.end_number = vertex_feature(edge[1])
+    feature.number = edge_feature(contact.edge)
+    return feature
+
+
+@wp.func
+def add_edge_contact(
+    geometries: Geometries,
+    features: Features,
+    pair: CurvedPair,
+    contact: EdgeContact,
+    reach: Reach,
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds the points at which an edge of a polyhedron, or an end of it, touches a curved solid as candidates."""
+    common = CommonNormal()
+    common.normal = pair.second_frame.rotation * contact.normal
+    common.kappa = pair.kappa
+    common.margin = reach.margin
+    common.is_swapped = not pair.own_is_second
+    curved_frame = RelativePose()
+    curved_frame.rotation = pair.second_frame.rotation * pair.pose.rotation
+    curved_frame.origin = moved(pair.second_frame, pair.pose.origin)
+    other_feature = support_feature(pair.other, curved_frame, -common.normal)
+    if other_feature.kind == FLAT_END:
+        if wp.length(wp.cross(other_feature.axis, common.normal)) <= PERPENDICULAR:
+            # The flat end is the reference of a face next to the edge.
+            return
+    common.patch = patch_for(patches, wp.where(pair.own_is_second, common.normal, -common.normal), contact.gap)
+    if common.patch < 0:
+        return
+    number = wp.where(contact.vertex >= 0, vertex_feature(contact.vertex), edge_feature(contact.edge))
+    on_curved = moved(pair.second_frame, contact.on_curved)
+    on_edge = moved(pair.second_frame, contact.on_edge)
+    add_pair_of_points(
+        common, on_curved, on_edge, contact.gap, vertex_feature(NEAREST_POINT), number, patches, candidates
+    )
+    add_common_points(common, other_feature, edge_line(geometries, features, pair, contact), patches, candidates)
+
+
+@wp.func
 def add_edges(
     geometries: Geometries,
     features: Features,
     pair: CurvedPair,
-    box: BoundingBox,
-    near: vec3d,
-    least: double,
+    hull: CurvedHull,
+    face: int,
     reach: Reach,
-    pending: wp.array(dtype=wp.int32),
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
-    """Adds the contacts of the edges of a polyhedron as candidates; returns their largest separation, −∞ without any [m].
-
-    ``box``: around the curved solid. ``near``, ``least``: see ``add_edges_of_face``. For a convex polyhedron, only the edge with the
-    largest separation is added.
-    """
-    still = no_motion()
-    largest = -double(wp.inf)
-    leaf = next_leaf_in_box(pending, 0, start_traversal(pending, 0, pair.own), geometries, pair.own, still, box)
-    while leaf.end_face > leaf.first_face:
-        for face in range(leaf.first_face, leaf.end_face):
-            gap = add_edges_of_face(
-                geometries, features, pair.own, face, pair.other, pair.pose, pair.second_frame, pair.kappa,
-                pair.own_is_second, pair.is_convex, near, wp.max(largest, least), reach, patches, candidates,
-            )  # fmt: skip
-            largest = wp.max(largest, gap)
-        leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
-    return largest
+    """Adds the contacts of the convex edges of a polyhedron whose first face it is as candidates."""
+    for i in range(corner_count(geometries.face[face])):
+        number = features.face_edge[face][i]
+        edge = features.edge[number]
+        if edge[2] != face or edge[3] < 0:
+            continue
+        start = vertex_position(geometries, edge[0], pair.own)
+        end = vertex_position(geometries, edge[1], pair.own)
+        if wp.dot(wp.cross(geometries.normal[face], geometries.normal[edge[3]]), end - start) <= double(0.0):
+            continue
+        if is_edge_apart(pair.other, pair.pose, start, end, reach.margin):
+            continue
+        contact = contact_with_edge(
+            geometries, features, pair.own, number, pair.other, pair.pose, hull, reach.depth
+        )
+        if contact.gap <= reach.margin and contact.gap >= -reach.depth:
+            add_edge_contact(geometries, features, pair, contact, reach, patches, candidates)
 
 
 @wp.func
@@ -396,19 +476,51 @@ def candidate_count(patches: wp.array(dtype=Patch)):
 
 
 @wp.func
-def curved_manifold(
+def add_all_faces_and_edges(
     geometries: Geometries,
     features: Features,
-    geometry: int,
     pair: CurvedPair,
-    previous: int,
+    hull: CurvedHull,
     reach: Reach,
     supports: wp.array(dtype=Support),
     pending: wp.array(dtype=wp.int32),
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
-    """Collects the candidates of a polyhedron and a curved solid in patches; returns the code of the reference.
+    """Adds the points of a curved solid on all faces and convex edges of a polyhedron that is not convex as candidates."""
+    box = bounding_box(pair.other, pair.pose, reach.margin)
+    still = no_motion()
+    for kind in range(2):
+        leaf = next_leaf_in_box(
+            pending, 0, start_traversal(pending, 0, pair.own), geometries, pair.own, still, box
+        )
+        while leaf.end_face > leaf.first_face:
+            for face in range(leaf.first_face, leaf.end_face):
+                if kind == 0:
+                    add_edges(geometries, features, pair, hull, face, reach, patches, candidates)
+                else:
+                    add_curved_on_face(
+                        geometries, features, pair, hull, face, face, double(0.0), reach, supports, patches,
+                        candidates,
+                    )  # fmt: skip
+            leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
+
+
+@wp.func
+def curved_manifold(
+    geometries: Geometries,
+    features: Features,
+    geometry: int,
+    pair: CurvedPair,
+    previous: int,
+    likely: wp.vec4i,
+    reach: Reach,
+    supports: wp.array(dtype=Support),
+    pending: wp.array(dtype=wp.int32),
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Collects the candidates of a polyhedron and a curved solid in patches; returns their ``Reference``.
 
     Those of a convex polyhedron have the normal of the face or flat end with the largest separation, or of the edge if its
     separation is larger by more than a small bias, as those of two convex polyhedra.
@@ -419,50 +531,69 @@ def curved_manifold(
         geometry: That of the polyhedron.
         pair: The pair.
         previous: Code of the reference of the last step.
+        likely: The plane with the largest separation in the last step, the vertex nearest to a flat end, and 1 + the edge with the
+            largest separation, or 0.
         reach: Lengths that decide which points belong to the manifold.
         supports: Working memory of ``support_points``.
         pending: Working memory of traversals.
         patches: The patches.
         candidates: Their candidates.
     """
-    best = CurvedSeparation()
-    best.distance = -double(wp.inf)
-    if pair.is_convex:
-        best = separation_of_faces(
-            geometries, features, geometry, pair, reach.margin, ROUNDING * reach.size, supports
-        )
-        if best.distance > reach.margin:
-            return NO_REFERENCE
+    result = Reference()
+    result.code = NO_REFERENCE
+    result.likely = likely
+    hull = hull_of(pair.other, pair.pose)
+    if not pair.is_convex:
+        add_all_faces_and_edges(geometries, features, pair, hull, reach, supports, pending, patches, candidates)
+        return result
+    infinite = double(wp.inf)
+    edge = EdgeContact()
+    edge.gap = -infinite
+    # The edge of the last step first.
+    number = likely[2] - 1
+    if number >= features.edge_start[geometry] and number < features.sharp_end[geometry]:
+        edge = contact_with_edge(geometries, features, pair.own, number, pair.other, pair.pose, hull, infinite)
+        if edge.gap > reach.margin:
+            return result
+    best = separation_of_faces(
+        geometries, features, geometry, pair, hull, likely, reach.margin, ROUNDING * reach.size
+    )
+    result.likely = wp.vec4i(best.plane, best.vertex, 0, 0)
+    if best.distance > reach.margin:
+        return result
     bias = EDGE_BIAS * reach.size
     if previous == EDGES:
         bias = double(0.5) * bias
     tolerance = SAME_DEPTH * reach.size
-    box = bounding_box(pair.other, pair.pose, reach.margin)
-    still = no_motion()
+    # Solids overlap by no more than along the best normal. Deeper points are those of other sides.
+    reach.depth = tolerance - best.distance
     for attempt in range(2):
         # Without edges first, if none has a larger separation.
         if attempt == 1 or not best.is_largest:
-            least = best.distance - tolerance
-            if attempt == 1:
-                least = -double(wp.inf)
-            largest = add_edges(
-                geometries, features, pair, box, best.near, least, reach, pending, patches, candidates
-            )
-            if pair.is_convex:
-                if attempt == 1 or largest > best.distance + bias:
-                    return EDGES
-                for patch in range(MAX_PATCHES):
-                    patches[patch].count = 0
-        if pair.is_convex:
-            # Solids overlap by no more than along the best normal. Deeper points are those of other sides.
-            reach.depth = tolerance - best.distance
-        leaf = next_leaf_in_box(
-            pending, 0, start_traversal(pending, 0, pair.own), geometries, pair.own, still, box
-        )
-        while leaf.end_face > leaf.first_face:
-            for face in range(leaf.first_face, leaf.end_face):
-                add_curved_on_face(geometries, features, pair, face, bias, reach, supports, patches, candidates)
-            leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
-        if candidate_count(patches) > 0 or not pair.is_convex:
-            return NO_REFERENCE
-    return NO_REFERENCE
+            if not is_largest_of_all(hull, edge, ROUNDING * reach.size):
+                edge = largest_edge_contact(
+                    geometries, features, geometry, pair, hull, edge, best.near, -reach.depth, reach.margin
+                )
+            if edge.gap >= -reach.depth:
+                result.likely[2] = 1 + edge.edge
+                if edge.gap > reach.margin:
+                    return result
+                if attempt == 1 or edge.gap > best.distance + bias:
+                    add_edge_contact(geometries, features, pair, edge, reach, patches, candidates)
+                    result.code = EDGES
+                    return result
+        if attempt == 1:
+            return result
+        for plane in range(pair.own.first_plane, pair.own.end_plane):
+            # The lowest point is at most as high as any other one. A flat end may be the reference.
+            face = geometries.plane_face[plane]
+            is_near = best.vertex > 0 and wp.abs(wp.dot(geometries.normal[face], hull.axis)) > FACING_END
+            if is_near or height_above_plane(geometries, pair.own, plane, best.near) >= -reach.depth:
+                for i in range(features.plane_outline_start[plane], features.plane_outline_start[plane + 1]):
+                    outline = features.plane_outline[i]
+                    add_curved_on_face(
+                        geometries, features, pair, hull, face, outline, bias, reach, supports, patches, candidates
+                    )
+        if candidate_count(patches) > 0:
+            return result
+    return result

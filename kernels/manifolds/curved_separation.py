@@ -1,10 +1,10 @@
 """Points of a curved solid that are farthest along a direction, and the largest separation of a convex polyhedron from it."""
 
 import warp as wp
-from warpcontact.kernels.body_contact.curved_solids import CONE, ELLIPSOID
+from warpcontact.kernels.body_contact.curved_solids import ELLIPSOID
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, is_on_face, plane_offset
-from warpcontact.kernels.manifolds.candidates import across
+from warpcontact.kernels.manifolds.curved_hull import CurvedHull, lowest_of_hull, nearest_surface_point
 from warpcontact.kernels.manifolds.features import Features, moved, vertex_position
 from warpcontact.kernels.manifolds.separation import height_above_plane, highest_plane, lowest_vertex
 from warpcontact.kernels.manifolds.support_features import LINE_END, LINE_START, end_height, flat_end, lowest_line
@@ -72,20 +72,6 @@ class CurvedPair:
 
 
 @wp.func
-def lowest_support(pair: CurvedPair, normal: vec3d, supports: wp.array(dtype=Support)):
-    """Returns the support points of the curved solid against ``normal``: their number, and the least height above the origin [m].
-
-    ``normal``: unit vector in the frame of the polyhedron.
-    """
-    direction = -(wp.transpose(pair.pose.rotation) * normal)
-    count = support_points(pair.other.flags, pair.other.scale, direction, supports)
-    lowest = double(wp.inf)
-    for i in range(count):
-        lowest = wp.min(lowest, wp.dot(normal, moved(pair.pose, supports[i].position)))
-    return count, lowest
-
-
-@wp.func
 def near_point(pair: CurvedPair, normal: vec3d):
     """Returns a point of the feature of the curved solid against ``normal`` that is near the polyhedron, in its frame [m]."""
     flags = pair.other.flags
@@ -120,46 +106,33 @@ class CurvedSeparation:
     near: vec3d
     # Whether no edge of the polyhedron has a larger separation.
     is_largest: wp.bool
+    plane: wp.int32  # with the largest separation along normals of faces
+    vertex: wp.int32  # nearest to a flat end; 0: there is none
 
 
 @wp.func
-def nearest_point(
-    geometries: Geometries, features: Features, pair: CurvedPair, plane: int, supports: wp.array(dtype=Support)
-):
+def plane_separation(geometries: Geometries, own: SolidGeometry, hull: CurvedHull, plane: int):
+    """Returns the separation of a curved solid from a plane of a polyhedron [m], and its lowest point above it [m]."""
+    face = geometries.plane_face[plane]
+    normal = geometries.normal[face]
+    lowest = lowest_of_hull(hull, normal)
+    return wp.dot(normal, lowest) - plane_offset(geometries, own, face), lowest
+
+
+@wp.func
+def nearest_point(geometries: Geometries, features: Features, pair: CurvedPair, plane: int, lowest: vec3d):
     """Returns a point of the curved solid above a plane that is near the polyhedron: the lowest one, or one near its center.
 
-    Also returns the plane above which it is highest, and its height above that plane [m].
+    Also returns the plane above which it is highest, and its height above that plane [m]. ``lowest``: the lowest point [m].
     """
-    normal = geometries.normal[geometries.plane_face[plane]]
-    count, _lowest = lowest_support(pair, normal, supports)
-    lowest = double(wp.inf)
-    point = vec3d()
-    for i in range(count):
-        position = moved(pair.pose, supports[i].position)
-        height = wp.dot(normal, position)
-        if height < lowest:
-            lowest = height
-            point = position
-    highest, height = highest_plane(geometries, features, pair.own, plane, point)
-    other = near_point(pair, normal)
+    highest, height = highest_plane(geometries, features, pair.own, plane, lowest)
+    if highest == plane:
+        return lowest, highest, height
+    other = near_point(pair, geometries.normal[geometries.plane_face[plane]])
     other_highest, other_height = highest_plane(geometries, features, pair.own, plane, other)
     if other_height < height:
         return other, other_highest, other_height
-    return point, highest, height
-
-
-@wp.func
-def end_is_nearest(pair: CurvedPair, beside: double, depth: double):
-    """Returns whether no other part of the surface of a cylinder or cone is nearer to a point than its flat end.
-
-    ``beside``, ``depth``: distances of the point from the axis and below the flat end, 0 if it is above [m].
-    """
-    radius = pair.other.scale[0]
-    height = pair.other.scale[2]
-    if (pair.other.flags & CONE) != 0:
-        slant = wp.sqrt(radius * radius + height * height)
-        return beside <= radius - depth * (radius + slant) / height
-    return beside <= radius - depth and depth <= height
+    return lowest, highest, height
 
 
 @wp.func
@@ -168,60 +141,88 @@ def separation_of_faces(
     features: Features,
     geometry: int,
     pair: CurvedPair,
+    hull: CurvedHull,
+    likely: wp.vec4i,
     margin: double,
     tolerance: double,
-    supports: wp.array(dtype=Support),
 ):
     """Returns the ``CurvedSeparation`` of a convex polyhedron and a curved solid; the first one above ``margin`` if there is one.
 
-    ``geometry``: that of the polyhedron. ``tolerance``: rounding of separations [m].
+    Args:
+        geometries: The geometries.
+        features: Their features.
+        geometry: That of the polyhedron.
+        pair: The pair.
+        hull: The curved solid in the frame of the polyhedron.
+        likely: The plane and the vertex of the last step, numbers of which may be invalid.
+        margin: Separation that ends the search [m].
+        tolerance: Rounding of separations [m].
     """
     result = CurvedSeparation()
     own = pair.own
-    plane, _height = highest_plane(geometries, features, own, own.first_plane, moved(pair.pose, pair.other.center))
+    start = likely[0]
+    if start < own.first_plane or start >= own.end_plane:
+        center = moved(pair.pose, pair.other.center)
+        start, _height = highest_plane(geometries, features, own, own.first_plane, center)
+    # From plane to plane, to the one above which a point near the last plane is highest, while the separation grows.
     result.distance = -double(wp.inf)
-    best = plane
-    near, highest, height = nearest_point(geometries, features, pair, plane, supports)
-    result.near = near
-    for number in range(own.first_plane - 1, own.end_plane):
-        if number >= own.first_plane:
-            plane = number
-            # The separation is at most the height of any point of the curved solid.
-            if height_above_plane(geometries, own, plane, result.near) <= result.distance:
-                continue
-        face = geometries.plane_face[plane]
-        _count, lowest = lowest_support(pair, geometries.normal[face], supports)
-        distance = lowest - plane_offset(geometries, own, face)
-        if distance > result.distance:
+    plane = wp.int32(start)
+    highest = wp.int32(start)
+    height = double(wp.inf)
+    near = vec3d()
+    searching = wp.bool(True)
+    while searching:
+        distance, lowest = plane_separation(geometries, own, hull, plane)
+        searching = distance > result.distance
+        if searching:
             result.distance = distance
-            best = plane
+            result.plane = plane
             if distance > margin:
                 return result
-        if number < own.first_plane and height <= distance + tolerance:
-            break
-    near, highest, height = nearest_point(geometries, features, pair, best, supports)
-    result.near = near
+            near, highest, height = nearest_point(geometries, features, pair, plane, lowest)
+            result.near = near
+            plane = highest
+            searching = highest != result.plane and height > distance + tolerance
+    if height > result.distance + tolerance:
+        # The separation is at most the height of any point of the curved solid.
+        start = result.plane
+        for number in range(own.first_plane, own.end_plane):
+            if height_above_plane(geometries, own, number, near) > result.distance:
+                distance, lowest = plane_separation(geometries, own, hull, number)
+                if distance > result.distance:
+                    result.distance = distance
+                    result.plane = number
+                    result.near = lowest
+                    if distance > margin:
+                        return result
+        if result.plane != start:
+            near, highest, height = nearest_point(geometries, features, pair, result.plane, result.near)
+            result.near = near
     if height <= result.distance + tolerance:
         result.is_largest = height <= double(0.0)
         foot = result.near - height * geometries.normal[geometries.plane_face[highest]]
         for i in range(features.plane_start[highest], features.plane_start[highest + 1]):
             result.is_largest = result.is_largest or is_on_face(geometries, own, features.plane_face[i], foot)
     # Flat ends.
-    axis = pair.pose.rotation * vec3d(double(0.0), double(0.0), double(1.0))
-    likely = features.corner[features.corner_start[geometry]]
+    first_corner = features.corner_start[geometry]
+    vertex = features.corner[first_corner]
+    if likely[1] >= vertex and likely[1] <= features.corner[features.corner_start[geometry + 1] - 1]:
+        vertex = likely[1]
     for k in range(2):
-        side = flat_end(pair.other.flags, vec3d(double(0.0), double(0.0), double(2 * k - 1)))
-        if side == 0:
+        side = double(2 * k - 1)
+        if flat_end(pair.other.flags, vec3d(double(0.0), double(0.0), side)) == 0:
             continue
-        end = vec3d(double(0.0), double(0.0), end_height(pair.other.flags, pair.other.scale, side))
-        middle = moved(pair.pose, end)
-        along = double(side) * axis
-        nearest = lowest_vertex(geometries, features, own, along, likely)
+        along = side * hull.axis
+        middle = wp.where(k == 0, hull.first, hull.second)
+        nearest = lowest_vertex(geometries, features, own, along, vertex)
         position = vertex_position(geometries, nearest, own)
         distance = wp.dot(along, position - middle)
         if distance > result.distance:
             result.distance = distance
-            result.is_largest = end_is_nearest(
-                pair, wp.length(across(position - middle, along)), wp.max(-distance, double(0.0))
-            )
+            result.vertex = nearest
+            if distance > margin:
+                return result
+            # No separation is larger than the distance of a point of the polyhedron from the curved solid.
+            found = nearest_surface_point(hull, position, True)
+            result.is_largest = found.gap > -double(wp.inf) and found.gap <= distance + tolerance
     return result

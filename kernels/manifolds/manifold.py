@@ -414,10 +414,12 @@ def find_manifolds(
                             curved_pair = pair_with_curved(first, second, pose.first_in_second, setting.kappa)
                             polyhedron = wp.where(curved_pair.own_is_second, geometry_2, geometry_1)
                             curved_pair.is_convex = features.is_convex[polyhedron] == 1
-                            reference = curved_manifold(
-                                geometries, features, polyhedron, curved_pair, reference_in, reach, supports, pending,
-                                patches, candidates,
+                            found_curved = curved_manifold(
+                                geometries, features, polyhedron, curved_pair, reference_in,
+                                history_in.likely[env, number], reach, supports, pending, patches, candidates,
                             )  # fmt: skip
+                            reference = found_curved.code
+                            history_out.likely[env, number] = found_curved.likely
                     for patch in range(MAX_PATCHES):
                         if patches[patch].count > 0:
                             deepest = wp.min(deepest, patches[patch].gap)

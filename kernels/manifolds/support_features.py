@@ -59,6 +59,29 @@ class SupportFeature:
     first_point: wp.int32
 
 
+@wp.struct
+class CommonNormal:
+    """Common normal of two solids, ``own`` and ``other``, along which their features touch."""
+
+    normal: vec3d  # out of ``other``, in the frame of the second solid
+    kappa: double  # points are at kappa × the gap from ``other``
+    margin: double  # largest gap [m]
+    patch: wp.int32  # with this normal
+    is_swapped: wp.bool  # whether ``own`` is the second solid
+
+
+@wp.func
+def seen_from_other(common: CommonNormal):
+    """Returns the common normal with ``own`` and ``other`` exchanged."""
+    result = CommonNormal()
+    result.normal = -common.normal
+    result.kappa = one - common.kappa
+    result.margin = common.margin
+    result.patch = common.patch
+    result.is_swapped = not common.is_swapped
+    return result
+
+
 @wp.func
 def flat_end(flags: int, direction: vec3d):
     """Returns the side (−1 or 1) of the flat end of a curved solid that is turned towards a direction; 0: none is."""
@@ -151,28 +174,26 @@ def height_of_end(feature: SupportFeature, normal: vec3d, position: vec3d):
 
 @wp.func
 def add_pair_of_points(
-    on_first: vec3d,
-    on_second: vec3d,
+    common: CommonNormal,
+    on_own: vec3d,
+    on_other: vec3d,
     gap: double,
-    number_1: int,
-    number_2: int,
-    normal: vec3d,
-    kappa: double,
-    margin: double,
+    own_number: int,
+    other_number: int,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
-    patch: int,
 ):
-    """Adds a point of each solid as a candidate if their gap is at most ``margin``; ``normal``: out of the second one."""
-    if gap > margin:
+    """Adds a point of each solid as a candidate if their gap is within the margin; the numbers are those of their features."""
+    if gap > common.margin:
         return
     feature = Feature()
-    feature.first = number_1
-    feature.second = number_2
+    feature.first = wp.where(common.is_swapped, other_number, own_number)
+    feature.second = wp.where(common.is_swapped, own_number, other_number)
     # Both are on one line along the normal, except for lines that cross.
-    middle = on_second + kappa * (on_first - on_second)
-    middle += (wp.dot(normal, on_second) + kappa * gap - wp.dot(normal, middle)) * normal
-    add_candidate(patches, candidates, patch, middle, gap, feature)
+    middle = on_other + common.kappa * (on_own - on_other)
+    height = wp.dot(common.normal, on_other) + common.kappa * gap
+    middle += (height - wp.dot(common.normal, middle)) * common.normal
+    add_candidate(patches, candidates, common.patch, middle, gap, feature)
 
 
 @wp.func
@@ -184,21 +205,18 @@ def line_point(line: SupportFeature, fraction: double):
 
 @wp.func
 def add_end_on_line(
+    common: CommonNormal,
     own: SupportFeature,
     at_end: bool,
     other: SupportFeature,
-    own_is_first: bool,
-    normal: vec3d,
-    kappa: double,
-    margin: double,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
-    patch: int,
 ):
     """Adds the contact of an end of a line with the other line as a candidate if it is next to the line.
 
     The gap is that of two circles with the radii of curvature of both lines.
     """
+    normal = common.normal
     position, radius = line_point(own, wp.where(at_end, one, zero))
     number = wp.where(at_end, own.end_number, own.start_number)
     along = across(other.end - other.start, normal)
@@ -214,34 +232,23 @@ def add_end_on_line(
         other_number = other.start_number
     elif fraction >= one - ON_END:
         other_number = other.end_number
-    side = wp.where(own_is_first, one, -one)
-    height = side * wp.dot(normal, position - other_position) + radius + other_radius
+    height = wp.dot(normal, position - other_position) + radius + other_radius
     beside = across(position - other_position, normal)
     beside -= (wp.dot(beside, along) / square) * along
     gap = wp.sqrt(height * height + wp.length_sq(beside)) - radius - other_radius
-    if own_is_first:
-        add_pair_of_points(
-            position, other_position, gap, number, other_number, normal, kappa, margin, patches, candidates, patch
-        )
-    else:
-        add_pair_of_points(
-            other_position, position, gap, other_number, number, normal, kappa, margin, patches, candidates, patch
-        )
+    add_pair_of_points(common, position, other_position, gap, number, other_number, patches, candidates)
 
 
 @wp.func
 def add_line_on_end(
+    common: CommonNormal,
     line: SupportFeature,
     end: SupportFeature,
-    line_is_first: bool,
-    normal: vec3d,
-    kappa: double,
-    margin: double,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
-    patch: int,
 ):
-    """Adds the ends of the part of a line that is above a flat end as candidates."""
+    """Adds the ends of the part of a line, of ``own``, that is above a flat end as candidates."""
+    normal = common.normal
     start_height = height_of_end(end, normal, line.start)
     end_height_ = height_of_end(end, normal, line.end)
     from_center = line.start + start_height * normal - end.center
@@ -266,84 +273,56 @@ def add_line_on_end(
         fraction = wp.clamp(root, zero, one)
         height = start_height + fraction * (end_height_ - start_height)
         position = line.start + fraction * (line.end - line.start)
-        on_end = position + height * normal
-        if line_is_first:
-            add_pair_of_points(
-                position, on_end, -height, number, end_number, normal, kappa, margin, patches, candidates, patch
-            )
-        else:
-            add_pair_of_points(
-                on_end, position, height, end_number, number, normal, kappa, margin, patches, candidates, patch
-            )
+        add_pair_of_points(
+            common, position, position + height * normal, -height, number, end_number, patches, candidates
+        )
 
 
 @wp.func
 def add_point_of_end(
+    common: CommonNormal,
     own: SupportFeature,
     offset: vec3d,
     number: int,
     other: SupportFeature,
-    own_is_first: bool,
-    normal: vec3d,
-    kappa: double,
-    margin: double,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
-    patch: int,
 ):
     """Adds a point of the circular edge of a flat end, at an offset from its center, as a candidate if it is above the other end."""
     position = own.center + offset
-    height = height_of_end(other, normal, position)
-    on_other = position + height * normal
+    height = height_of_end(other, common.normal, position)
+    on_other = position + height * common.normal
     if wp.length(on_other - other.center) > (one + ON_END) * other.radius:
         return
-    own_number = vertex_feature(number)
-    other_number = plane_feature(other.first_point)
-    if own_is_first:
-        add_pair_of_points(
-            position,
-            on_other,
-            -height,
-            own_number,
-            other_number,
-            normal,
-            kappa,
-            margin,
-            patches,
-            candidates,
-            patch,
-        )
-    else:
-        add_pair_of_points(
-            on_other, position, height, other_number, own_number, normal, kappa, margin, patches, candidates, patch
-        )
+    add_pair_of_points(
+        common, position, on_other, -height, vertex_feature(number), plane_feature(other.first_point), patches,
+        candidates,
+    )  # fmt: skip
 
 
 @wp.func
 def add_crossing(
-    first: SupportFeature,
-    second: SupportFeature,
+    common: CommonNormal,
+    own: SupportFeature,
+    other: SupportFeature,
     near: vec3d,
     k: int,
-    normal: vec3d,
-    kappa: double,
-    margin: double,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
-    patch: int,
 ):
     """Adds crossing ``k`` of the circular edges of two flat ends, seen along the normal, as a candidate.
 
-    ``near``: where it is if both ends are normal to ``normal`` [m].
+    ``near``: where it is if both ends are normal to the common normal [m].
     """
-    offset = near - first.center
-    angle = wp.atan2(wp.dot(offset, first.v_axis), wp.dot(offset, first.u_axis))
-    slope = second.axis / wp.dot(second.axis, normal)
-    # From the center of the second end to the projection of a point of the first edge on its plane, by Newton's method.
-    middle = first.center + height_of_end(second, normal, first.center) * normal - second.center
-    u_axis = first.radius * (first.u_axis - wp.dot(slope, first.u_axis) * normal)
-    v_axis = first.radius * (first.v_axis - wp.dot(slope, first.v_axis) * normal)
-    square = second.radius * second.radius
+    normal = common.normal
+    offset = near - own.center
+    angle = wp.atan2(wp.dot(offset, own.v_axis), wp.dot(offset, own.u_axis))
+    slope = other.axis / wp.dot(other.axis, normal)
+    # From the center of the other end to the projection of a point of the own edge on its plane, by Newton's method.
+    middle = own.center + height_of_end(other, normal, own.center) * normal - other.center
+    u_axis = own.radius * (own.u_axis - wp.dot(slope, own.u_axis) * normal)
+    v_axis = own.radius * (own.v_axis - wp.dot(slope, own.v_axis) * normal)
+    square = other.radius * other.radius
     error = double(wp.inf)
     iterations = wp.int32(CROSSING_ITERATIONS)
     for _ in range(iterations):
@@ -357,107 +336,78 @@ def add_crossing(
         angle -= wp.clamp(error / rate, double(-0.5), double(0.5))
     if wp.abs(error) > ON_END * square:
         return
-    on_first = first.center + first.radius * (wp.cos(angle) * first.u_axis + wp.sin(angle) * first.v_axis)
-    height = height_of_end(second, normal, on_first)
+    on_own = own.center + own.radius * (wp.cos(angle) * own.u_axis + wp.sin(angle) * own.v_axis)
+    height = height_of_end(other, normal, on_own)
     number = edge_feature(wp.where(k == 0, CIRCLE_ENTRY, CIRCLE_EXIT))
-    add_pair_of_points(
-        on_first,
-        on_first + height * normal,
-        -height,
-        number,
-        number,
-        normal,
-        kappa,
-        margin,
-        patches,
-        candidates,
-        patch,
-    )
+    add_pair_of_points(common, on_own, on_own + height * normal, -height, number, number, patches, candidates)
+
+
+@wp.func
+def add_points_of_end(
+    common: CommonNormal,
+    own: SupportFeature,
+    other: SupportFeature,
+    distance: double,
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds four points that are fixed on the circular edge of a flat end, and the one that extends farthest over the other end.
+
+    ``distance``: of the axes of both ends, across the normal [m].
+    """
+    for i in range(4):
+        reach = wp.where(i % 2 == 0, own.radius, -own.radius)
+        offset = wp.where(i < 2, reach * own.u_axis, reach * own.v_axis)
+        add_point_of_end(common, own, offset, own.first_point + i, other, patches, candidates)
+    if distance > CONCENTRIC * (own.radius + other.radius):
+        towards = across(other.center - own.center, common.normal)
+        offset = own.radius * wp.normalize(across(towards, own.axis))
+        add_point_of_end(common, own, offset, FARTHEST_POINT, other, patches, candidates)
 
 
 @wp.func
 def add_two_ends(
-    first: SupportFeature,
-    second: SupportFeature,
-    normal: vec3d,
-    kappa: double,
-    margin: double,
+    common: CommonNormal,
+    own: SupportFeature,
+    other: SupportFeature,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
-    patch: int,
 ):
-    """Adds points of two flat ends as candidates.
-
-    Four points of each circular edge that are fixed in its solid, the one that extends farthest over the other end, and the crossings
-    of both edges.
-    """
-    between = across(first.center - second.center, normal)
+    """Adds points of the circular edges of two flat ends above the other end, and the crossings of both edges, as candidates."""
+    between = across(own.center - other.center, common.normal)
     distance = wp.length(between)
-    total = first.radius + second.radius
-    if distance >= total:
+    if distance >= own.radius + other.radius:
         return
-    for k in range(2):
-        own = first
-        other = second
-        towards = -between
-        if k == 1:
-            own = second
-            other = first
-            towards = between
-        for i in range(4):
-            reach = wp.where(i % 2 == 0, own.radius, -own.radius)
-            offset = wp.where(i < 2, reach * own.u_axis, reach * own.v_axis)
-            add_point_of_end(
-                own, offset, own.first_point + i, other, k == 0, normal, kappa, margin, patches, candidates, patch
-            )
-        if distance > CONCENTRIC * total:
-            offset = own.radius * wp.normalize(across(towards, own.axis))
-            add_point_of_end(
-                own, offset, FARTHEST_POINT, other, k == 0, normal, kappa, margin, patches, candidates, patch
-            )
-    if distance <= wp.abs(first.radius - second.radius) or distance <= zero:
+    add_points_of_end(common, own, other, distance, patches, candidates)
+    add_points_of_end(seen_from_other(common), other, own, distance, patches, candidates)
+    if distance <= wp.abs(own.radius - other.radius) or distance <= zero:
         return
     towards = between / distance
-    along = distance * distance + second.radius * second.radius - first.radius * first.radius
+    along = distance * distance + other.radius * other.radius - own.radius * own.radius
     along = along / (double(2.0) * distance)
-    beside = wp.sqrt(wp.max(second.radius * second.radius - along * along, zero))
+    beside = wp.sqrt(wp.max(other.radius * other.radius - along * along, zero))
     for k in range(2):
-        crossing = second.center + along * towards
-        crossing += wp.where(k == 0, beside, -beside) * wp.cross(normal, towards)
-        add_crossing(first, second, crossing, k, normal, kappa, margin, patches, candidates, patch)
+        crossing = other.center + along * towards
+        crossing += wp.where(k == 0, beside, -beside) * wp.cross(common.normal, towards)
+        add_crossing(common, own, other, crossing, k, patches, candidates)
 
 
 @wp.func
 def add_common_points(
-    first: SupportFeature,
-    second: SupportFeature,
-    normal: vec3d,
-    kappa: double,
-    margin: double,
+    common: CommonNormal,
+    own: SupportFeature,
+    other: SupportFeature,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
-    patch: int,
 ):
-    """Adds the points at which two features touch, besides the nearest points of both solids, as candidates.
-
-    Args:
-        first: Feature of the first solid.
-        second: Feature of the second solid.
-        normal: Common normal, out of the second solid.
-        kappa: Points are at kappa × the gap from the second solid.
-        margin: Largest gap [m].
-        patches: The patches.
-        candidates: Their candidates.
-        patch: The patch with this normal.
-    """
-    if first.kind == LINE and second.kind == LINE:
+    """Adds the points at which the features of two solids touch, besides the nearest points of both, as candidates."""
+    if own.kind == LINE and other.kind == LINE:
         for k in range(2):
-            at_end = k == 1
-            add_end_on_line(first, at_end, second, True, normal, kappa, margin, patches, candidates, patch)
-            add_end_on_line(second, at_end, first, False, normal, kappa, margin, patches, candidates, patch)
-    elif first.kind == LINE and second.kind == FLAT_END:
-        add_line_on_end(first, second, True, normal, kappa, margin, patches, candidates, patch)
-    elif first.kind == FLAT_END and second.kind == LINE:
-        add_line_on_end(second, first, False, normal, kappa, margin, patches, candidates, patch)
-    elif first.kind == FLAT_END and second.kind == FLAT_END:
-        add_two_ends(first, second, normal, kappa, margin, patches, candidates, patch)
+            add_end_on_line(common, own, k == 1, other, patches, candidates)
+            add_end_on_line(seen_from_other(common), other, k == 1, own, patches, candidates)
+    elif own.kind == LINE and other.kind == FLAT_END:
+        add_line_on_end(common, own, other, patches, candidates)
+    elif own.kind == FLAT_END and other.kind == LINE:
+        add_line_on_end(seen_from_other(common), other, own, patches, candidates)
+    elif own.kind == FLAT_END and other.kind == FLAT_END:
+        add_two_ends(common, own, other, patches, candidates)
