@@ -8,16 +8,15 @@ a curved solid as another solid does (``curved_pairs.py``).
 
 import warp as wp
 from warpcontact.kernels.body_contact.face_trees import next_leaf_in_box, start_traversal
-from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, corner_count, no_motion
+from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, no_motion
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, bounding_box, plane_offset
 from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, Candidate, Patch, add_candidate
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex import EDGE_BIAS, EDGES, NO_REFERENCE, Reference
+from warpcontact.kernels.manifolds.curved_edge_points import add_edge_contact, add_edges, add_vertex_below_end
 from warpcontact.kernels.manifolds.curved_edges import (
-    PERPENDICULAR,
     EdgeContact,
     contact_with_edge,
-    is_edge_apart,
     is_largest_of_all,
     largest_edge_contact,
 )
@@ -46,19 +45,10 @@ from warpcontact.kernels.manifolds.support_features import (
     COVERED,
     CUT_LINE,
     FACING_END,
-    FLAT_END,
-    LINE,
     LINE_END,
     LINE_START,
-    LYING,
-    NEAREST_POINT,
-    CommonNormal,
-    SupportFeature,
-    add_common_points,
-    add_pair_of_points,
     end_height,
     flat_end,
-    support_feature,
 )
 
 double = wp.float64
@@ -127,15 +117,14 @@ def add_point(
     pair: CurvedPair,
     reference: FaceReference,
     position: vec3d,
-    height: double,
+    gap: double,
     curved_number: int,
     own_feature: int,
     reach: Reach,
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
 ):
-    """Adds a point of a curved solid at a height above a face of the polyhedron as a candidate, if it is within reach."""
-    gap = height * reference.cosine
+    """Adds a point of a curved solid with a gap from a face of the polyhedron as a candidate, if it is within reach."""
     if gap > reach.margin or gap < -reach.depth:
         return
     acting = position - ((double(1.0) - pair.kappa) * gap) * reference.normal
@@ -202,34 +191,31 @@ def add_line(
         corner = following
         edge_number = features.outline_edge[i]
     lowest = wp.min(start_height, end_height)
-    # A short part of a deep line is above a side wall.
-    if last < first or (last - first) * wp.length(end - start) < -lowest * reference.cosine:
+    # A short part of a deep line is above a side wall of a polyhedron that is not convex.
+    is_short = (last - first) * wp.length(end - start) < -lowest * reference.cosine
+    if last < first or (is_short and not pair.is_convex):
         return
     own_feature = plane_feature(features.face_plane[face])
     number = wp.int32(LINE_START)
     if first_edge >= 0:
         own_feature = edge_feature(first_edge)
         number = CUT_LINE
-    height = start_height + first * (end_height - start_height)
-    add_point(
-        pair, reference, start + first * (end - start), height, number, own_feature, reach, patches, candidates
-    )
+    gap = reference.cosine * (start_height + first * (end_height - start_height))
+    add_point(pair, reference, start + first * (end - start), gap, number, own_feature, reach, patches, candidates)
     own_feature = plane_feature(features.face_plane[face])
     number = LINE_END
     if last_edge >= 0:
         own_feature = edge_feature(last_edge)
         number = CUT_LINE
-    height = start_height + last * (end_height - start_height)
-    add_point(
-        pair, reference, start + last * (end - start), height, number, own_feature, reach, patches, candidates
-    )
+    gap = reference.cosine * (start_height + last * (end_height - start_height))
+    add_point(pair, reference, start + last * (end - start), gap, number, own_feature, reach, patches, candidates)
 
 
 @wp.func
 def on_end(pair: CurvedPair, position: vec3d, normal: vec3d, z: double):
     """Returns the point of the plane of a flat end above a point of the polyhedron, in the frame of the curved solid.
 
-    Also returns its height along ``normal``, the normal of the face [m]. ``z``: coordinate of the flat end [m].
+    Also returns its height along ``normal``, the normal of the reference [m]. ``z``: coordinate of the flat end [m].
     """
     to_curved = wp.transpose(pair.pose.rotation)
     local = to_curved * (position - pair.pose.origin)
@@ -243,7 +229,6 @@ def add_flat_end(
     geometries: Geometries,
     features: Features,
     pair: CurvedPair,
-    face: int,
     outline: int,
     reference: FaceReference,
     z: double,
@@ -252,7 +237,7 @@ def add_flat_end(
     candidates: wp.array(dtype=Candidate),
 ):
     """Adds the vertices of an outline below a flat end, and the crossings of its edges with the circular edge, as candidates."""
-    normal = geometries.normal[face]
+    normal = reference.normal
     radius = pair.other.scale[0]
     first = features.outline_start[outline]
     last = features.outline_start[outline + 1] - 1
@@ -367,13 +352,13 @@ def add_curved_on_face(
         )  # fmt: skip
         for i in range(2, count):
             position = moved(pair.pose, supports[i].position)
-            height = wp.dot(normal, position) - offset
-            if height * reference.cosine > reach.margin:
+            gap = reference.cosine * (wp.dot(normal, position) - offset)
+            if gap > reach.margin:
                 continue
             if distance_inside(geometries, features, pair.own, outline, normal, position) >= tolerance:
-                add_point(pair, reference, position, height, supports[i].number, plane, reach, patches, candidates)
+                add_point(pair, reference, position, gap, supports[i].number, plane, reach, patches, candidates)
         if side != 0:
-            add_flat_end(geometries, features, pair, face, outline, reference, z, reach, patches, candidates)
+            add_flat_end(geometries, features, pair, outline, reference, z, reach, patches, candidates)
     # If the lowest point is not above the face, an edge of the face, or of the solid, has the contact.
     if not pair.is_convex:
         bias = FACE_HYSTERESIS * reach.size
@@ -381,89 +366,6 @@ def add_curved_on_face(
         patches[reference.patch].count = before
         patches[reference.patch].gap = double(wp.inf)
     patches[reference.patch].gap = wp.min(patches[reference.patch].gap, gap_before)
-
-
-@wp.func
-def edge_line(geometries: Geometries, features: Features, pair: CurvedPair, contact: EdgeContact):
-    """Returns the ``SupportFeature`` of an edge of the polyhedron with a contact, in the frame of the second solid."""
-    edge = features.edge[contact.edge]
-    feature = SupportFeature()
-    start = vertex_position(geometries, edge[0], pair.own)
-    along = vertex_position(geometries, edge[1], pair.own) - start
-    if wp.abs(wp.dot(contact.normal, along)) <= LYING * wp.length(along):
-        feature.kind = LINE
-    feature.start = moved(pair.second_frame, start)
-    feature.end = moved(pair.second_frame, start + along)
-    feature.start_number = vertex_feature(edge[0])
-    feature.end_number = vertex_feature(edge[1])
-    feature.number = edge_feature(contact.edge)
-    return feature
-
-
-@wp.func
-def add_edge_contact(
-    geometries: Geometries,
-    features: Features,
-    pair: CurvedPair,
-    contact: EdgeContact,
-    reach: Reach,
-    patches: wp.array(dtype=Patch),
-    candidates: wp.array(dtype=Candidate),
-):
-    """Adds the points at which an edge of a polyhedron, or an end of it, touches a curved solid as candidates."""
-    common = CommonNormal()
-    common.normal = pair.second_frame.rotation * contact.normal
-    common.kappa = pair.kappa
-    common.margin = reach.margin
-    common.is_swapped = not pair.own_is_second
-    curved_frame = RelativePose()
-    curved_frame.rotation = pair.second_frame.rotation * pair.pose.rotation
-    curved_frame.origin = moved(pair.second_frame, pair.pose.origin)
-    other_feature = support_feature(pair.other, curved_frame, -common.normal)
-    if other_feature.kind == FLAT_END:
-        if wp.length(wp.cross(other_feature.axis, common.normal)) <= PERPENDICULAR:
-            # The flat end is the reference of a face next to the edge.
-            return
-    common.patch = patch_for(patches, wp.where(pair.own_is_second, common.normal, -common.normal), contact.gap)
-    if common.patch < 0:
-        return
-    number = wp.where(contact.vertex >= 0, vertex_feature(contact.vertex), edge_feature(contact.edge))
-    on_curved = moved(pair.second_frame, contact.on_curved)
-    on_edge = moved(pair.second_frame, contact.on_edge)
-    add_pair_of_points(
-        common, on_curved, on_edge, contact.gap, vertex_feature(NEAREST_POINT), number, patches, candidates
-    )
-    add_common_points(common, other_feature, edge_line(geometries, features, pair, contact), patches, candidates)
-
-
-@wp.func
-def add_edges(
-    geometries: Geometries,
-    features: Features,
-    pair: CurvedPair,
-    hull: CurvedHull,
-    face: int,
-    reach: Reach,
-    patches: wp.array(dtype=Patch),
-    candidates: wp.array(dtype=Candidate),
-):
-    """Adds the contacts of the convex edges of a polyhedron whose first face it is as candidates."""
-    for i in range(corner_count(geometries.face[face])):
-        number = features.face_edge[face][i]
-        edge = features.edge[number]
-        if edge[2] != face or edge[3] < 0:
-            continue
-        start = vertex_position(geometries, edge[0], pair.own)
-        end = vertex_position(geometries, edge[1], pair.own)
-        if wp.dot(wp.cross(geometries.normal[face], geometries.normal[edge[3]]), end - start) <= double(0.0):
-            continue
-        if is_edge_apart(pair.other, pair.pose, start, end, reach.margin):
-            continue
-        contact = contact_with_edge(
-            geometries, features, pair.own, number, pair.other, pair.pose, hull, reach.depth
-        )
-        if contact.gap <= reach.margin and contact.gap >= -reach.depth:
-            add_edge_contact(geometries, features, pair, contact, reach, patches, candidates)
 
 
 @wp.func
@@ -594,6 +496,8 @@ def curved_manifold(
                     add_curved_on_face(
                         geometries, features, pair, hull, face, outline, bias, reach, supports, patches, candidates
                     )
+        if candidate_count(patches) == 0 and best.vertex > 0:
+            add_vertex_below_end(geometries, features, geometry, pair, best, reach, patches, candidates)
         if candidate_count(patches) > 0:
             return result
     return result

@@ -133,6 +133,37 @@ def highest_between(
 
 
 @wp.func
+def beyond_maximum(
+    hull: CurvedHull, piece: int, line: Line, start: vec3d, end: vec3d, start_slope: double, tolerance: double
+):
+    """Returns a direction behind the first maximum of the separation from ``start`` towards ``end``, and the slope there [m].
+
+    Without a maximum before the separation becomes a convex function, returns ``start`` and its slope. Newton's steps towards a
+    maximum near the axis of a circle that is seen from its side do not pass it by far. ``tolerance``: slope that counts as zero [m].
+    """
+    side = wp.sign(start_slope)
+    n = vec3d(start)
+    slope = double(start_slope)
+    steps = wp.int32(MAX_STEPS)
+    for _ in range(steps):
+        tangent = wp.cross(line.axis, n)
+        between = lowest_of_piece(hull, piece, n) - line.start
+        height = wp.dot(n, between)
+        curvature = height + curvature_radius(hull, piece, n, tangent)
+        if height >= zero or curvature <= zero:
+            break
+        step = wp.normalize(n + (slope / curvature) * tangent)
+        if side * wp.dot(wp.cross(step, end), line.axis) <= zero:
+            break
+        n = step
+        tangent = wp.cross(line.axis, n)
+        slope = wp.dot(tangent, lowest_of_piece(hull, piece, n) - line.start)
+        if side * slope <= tolerance:
+            return n, side * wp.min(side * slope, zero)
+    return start, start_slope
+
+
+@wp.func
 def next_direction(hull: CurvedHull, line: Line, current: vec3d):
     """Returns the first direction behind ``current`` at which an arc is divided, or its end."""
     following = line.second
@@ -165,9 +196,11 @@ def contact_with_line(hull: CurvedHull, line: Line):
     """
     result = PointContact()
     result.gap = -double(wp.inf)
-    # The largest separation with its point beyond the ends.
+    # The largest separation at a maximum with its point beyond the ends, and at an end of the arc.
     highest = -double(wp.inf)
+    highest_end = -double(wp.inf)
     beyond = double(0.5)
+    at_arc_end = double(0.5)
     tolerance = FLAT * (wp.length(hull.first - line.start) + hull.first_radius + hull.height)
     current = line.first
     last_slope = -double(wp.inf)
@@ -192,10 +225,29 @@ def contact_with_line(hull: CurvedHull, line: Line):
                     is_maximum = wp.length(n - along * hull.axis) > ALONG_AXIS
                 if is_maximum and last_slope > slope:
                     point = last_point + (last_slope / (last_slope - slope)) * (lowest - last_point)
-            elif slope > zero and end_slope < zero:
-                is_maximum = True
-                n = highest_between(hull, piece, line, current, following, slope, end_slope, tolerance)
-                point = lowest_of_piece(hull, piece, n)
+            else:
+                first = vec3d(current)
+                last = vec3d(following)
+                first_slope = double(slope)
+                second_slope = double(end_slope)
+                if hull.kind == CIRCLES and slope * end_slope > zero:
+                    # Two extrema, or none.
+                    rises = slope > zero
+                    start = wp.where(rises, current, following)
+                    end = wp.where(rises, following, current)
+                    turned, turned_slope = beyond_maximum(
+                        hull, piece, line, start, end, wp.where(rises, slope, end_slope), tolerance
+                    )
+                    if rises:
+                        last = turned
+                        second_slope = turned_slope
+                    else:
+                        first = turned
+                        first_slope = turned_slope
+                if first_slope >= zero and second_slope <= zero and first_slope > second_slope:
+                    is_maximum = True
+                    n = highest_between(hull, piece, line, first, last, first_slope, second_slope, tolerance)
+                    point = lowest_of_piece(hull, piece, n)
             if is_maximum:
                 has_maximum = True
                 gap = wp.dot(n, point - line.start)
@@ -208,21 +260,19 @@ def contact_with_line(hull: CurvedHull, line: Line):
                 elif gap > highest:
                     highest = gap
                     beyond = fraction
-        is_last = not turned_before(line, following, line.second)
-        if not has_maximum and (part == 0 or is_last):
-            for k in range(2):
-                point = wp.where(k == 0, lowest, end_point)
-                n = wp.where(k == 0, current, following)
-                gap = wp.dot(n, point - line.start)
-                if gap > highest:
-                    highest = gap
-                    beyond = wp.dot(line.axis, point - line.start) / line.length
-        if is_last:
-            break
+        if part == 0:
+            highest_end = wp.dot(current, lowest - line.start)
+            at_arc_end = wp.dot(line.axis, lowest - line.start) / line.length
         current = following
         last_slope = end_slope
         last_point = end_point
-    if highest <= result.gap:
+        if not turned_before(line, following, line.second):
+            break
+    if not has_maximum:
+        beyond = at_arc_end
+        if wp.dot(line.second, last_point - line.start) > highest_end:
+            beyond = wp.dot(line.axis, last_point - line.start) / line.length
+    elif highest <= result.gap:
         beyond = double(0.5)
     return result, beyond
 

@@ -107,7 +107,8 @@ class CurvedSeparation:
     # Whether no edge of the polyhedron has a larger separation.
     is_largest: wp.bool
     plane: wp.int32  # with the largest separation along normals of faces
-    vertex: wp.int32  # nearest to a flat end; 0: there is none
+    vertex: wp.int32  # nearest to the flat end with this separation; 0: it is along the normal of a face
+    end_normal: vec3d  # of this flat end, towards the curved solid
 
 
 @wp.func
@@ -220,6 +221,7 @@ def separation_of_faces(
         if distance > result.distance:
             result.distance = distance
             result.vertex = nearest
+            result.end_normal = -along
             if distance > margin:
                 return result
             # No separation is larger than the distance of a point of the polyhedron from the curved solid.
