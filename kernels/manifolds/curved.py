@@ -392,7 +392,8 @@ def add_all_faces_and_edges(
     """Adds the points of a curved solid on all faces and convex edges of a polyhedron that is not convex as candidates."""
     box = bounding_box(pair.other, pair.pose, reach.margin)
     still = no_motion()
-    for kind in range(2):
+    kinds = wp.int32(2)
+    for kind in range(kinds):
         leaf = next_leaf_in_box(
             pending, 0, start_traversal(pending, 0, pair.own), geometries, pair.own, still, box
         )
@@ -469,7 +470,8 @@ def curved_manifold(
     tolerance = SAME_DEPTH * reach.size
     # Solids overlap by no more than along the best normal. Deeper points are those of other sides.
     reach.depth = tolerance - best.distance
-    for attempt in range(2):
+    attempts = wp.int32(2)
+    for attempt in range(attempts):
         # Without edges first, if none has a larger separation.
         if attempt == 1 or not best.is_largest:
             if not is_largest_of_all(hull, edge, ROUNDING * reach.size):

@@ -164,6 +164,43 @@ def beyond_maximum(
 
 
 @wp.func
+def maximum_within(
+    hull: CurvedHull,
+    piece: int,
+    line: Line,
+    first: vec3d,
+    last: vec3d,
+    first_slope: double,
+    last_slope: double,
+    tolerance: double,
+):
+    """Returns the direction between two others with a maximum of the separation of a piece from a line; zero if there is none.
+
+    ``first_slope``, ``last_slope``: slopes at both, seen from between them [m]. ``tolerance``: slope that counts as zero [m].
+    """
+    lower = vec3d(first)
+    upper = vec3d(last)
+    lower_slope = double(first_slope)
+    upper_slope = double(last_slope)
+    if hull.kind == CIRCLES and first_slope * last_slope > zero:
+        # Two extrema, or none.
+        rises = first_slope > zero
+        start = wp.where(rises, first, last)
+        end = wp.where(rises, last, first)
+        start_slope = wp.where(rises, first_slope, last_slope)
+        turned, turned_slope = beyond_maximum(hull, piece, line, start, end, start_slope, tolerance)
+        if rises:
+            upper = turned
+            upper_slope = turned_slope
+        else:
+            lower = turned
+            lower_slope = turned_slope
+    if lower_slope < zero or upper_slope > zero or lower_slope == upper_slope:
+        return vec3d()
+    return highest_between(hull, piece, line, lower, upper, lower_slope, upper_slope, tolerance)
+
+
+@wp.func
 def next_direction(hull: CurvedHull, line: Line, current: vec3d):
     """Returns the first direction behind ``current`` at which an arc is divided, or its end."""
     following = line.second
@@ -213,7 +250,8 @@ def contact_with_line(hull: CurvedHull, line: Line):
         piece = lower_piece(hull, middle)
         slope, lowest = slope_towards(hull, piece, line, current, one)
         end_slope, end_point = slope_towards(hull, piece, line, following, -one)
-        for k in range(2):
+        places = wp.int32(2)
+        for k in range(places):
             n = current
             point = lowest
             is_maximum = wp.bool(False)
@@ -226,28 +264,11 @@ def contact_with_line(hull: CurvedHull, line: Line):
                 if is_maximum and last_slope > slope:
                     point = last_point + (last_slope / (last_slope - slope)) * (lowest - last_point)
             else:
-                first = vec3d(current)
-                last = vec3d(following)
-                first_slope = double(slope)
-                second_slope = double(end_slope)
-                if hull.kind == CIRCLES and slope * end_slope > zero:
-                    # Two extrema, or none.
-                    rises = slope > zero
-                    start = wp.where(rises, current, following)
-                    end = wp.where(rises, following, current)
-                    turned, turned_slope = beyond_maximum(
-                        hull, piece, line, start, end, wp.where(rises, slope, end_slope), tolerance
-                    )
-                    if rises:
-                        last = turned
-                        second_slope = turned_slope
-                    else:
-                        first = turned
-                        first_slope = turned_slope
-                if first_slope >= zero and second_slope <= zero and first_slope > second_slope:
+                within = maximum_within(hull, piece, line, current, following, slope, end_slope, tolerance)
+                if wp.length_sq(within) > zero:
                     is_maximum = True
-                    n = highest_between(hull, piece, line, first, last, first_slope, second_slope, tolerance)
-                    point = lowest_of_piece(hull, piece, n)
+                    n = within
+                    point = lowest_of_piece(hull, piece, within)
             if is_maximum:
                 has_maximum = True
                 gap = wp.dot(n, point - line.start)

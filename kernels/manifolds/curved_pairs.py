@@ -10,6 +10,7 @@ from warpcontact.kernels.body_contact.surface_queries import SolidGeometry
 from warpcontact.kernels.manifolds.candidates import Candidate, Patch, across
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex_form import ConvexForm, FormCoefficients, form_of, separation
+from warpcontact.kernels.manifolds.curved_edges import nearest_on_segments
 from warpcontact.kernels.manifolds.features import moved, vertex_feature
 from warpcontact.kernels.manifolds.support_features import (
     FLAT_END,
@@ -31,16 +32,40 @@ PARALLEL_ENDS = wp.constant(double(1.0e-8))
 
 
 @wp.func
-def start_direction(first: FormCoefficients, second: FormCoefficients, pose: RelativePose):
-    """Returns the best of the directions between the centers of two forms and along their axes, and the separation along it [m]."""
+def axis_of(form: FormCoefficients):
+    """Returns the start of the axis segment of a form, and the vector to its end [m]."""
+    if form.height > double(0.0):
+        return vec3d(), vec3d(double(0.0), double(0.0), form.height)
+    return -form.half_axis, double(2.0) * form.half_axis
+
+
+@wp.func
+def between_axes(first: FormCoefficients, second: FormCoefficients, pose: RelativePose):
+    """Returns the nearest point of the axis segment of each form to that of the other one, in the frame of the second one [m]."""
+    start_1, along_1 = axis_of(first)
+    start_2, along_2 = axis_of(second)
+    start_1 = moved(pose, start_1)
+    along_1 = pose.rotation * along_1
+    fraction_1, fraction_2 = nearest_on_segments(start_1, along_1, start_2, along_2)
+    return start_1 + fraction_1 * along_1, start_2 + fraction_2 * along_2
+
+
+@wp.func
+def start_direction(first: FormCoefficients, second: FormCoefficients, pose: RelativePose, between: vec3d):
+    """Returns the best of some directions, and the separation along it [m].
+
+    They are along ``between``, the vector between the nearest points of both axes, between the centers, and along the axes.
+    """
     best = vec3d()
     largest = -double(wp.inf)
-    directions = wp.int32(5)
+    directions = wp.int32(6)
     for k in range(directions):
-        direction = moved(pose, ConvexForm.inscribed_center(first)) - ConvexForm.inscribed_center(second)
-        if k == 1 or k == 2:
+        direction = vec3d(between)
+        if k == 0:
+            direction = moved(pose, ConvexForm.inscribed_center(first)) - ConvexForm.inscribed_center(second)
+        elif k == 1 or k == 2:
             direction = vec3d(double(0.0), double(0.0), double(2 * k - 3))
-        elif k > 2:
+        elif k == 3 or k == 4:
             direction = double(2 * k - 7) * vec3d(pose.rotation[0, 2], pose.rotation[1, 2], pose.rotation[2, 2])
         if wp.length_sq(direction) == double(0.0):
             continue
@@ -79,7 +104,8 @@ def curved_pair_manifold(
     """Collects the candidates of two curved solids in the first patch; ``pose``: of the first one in the second's frame."""
     form_1 = form_of(first)
     form_2 = form_of(second)
-    normal, gap = start_direction(form_1, form_2, pose)
+    on_axis_1, on_axis_2 = between_axes(form_1, form_2, pose)
+    normal, gap = start_direction(form_1, form_2, pose, on_axis_1 - on_axis_2)
     if gap > reach.margin:
         return
     own = support_feature(first, pose, -normal)
@@ -89,19 +115,29 @@ def curved_pair_manifold(
     common.kappa = kappa
     common.margin = reach.margin
     if not are_parallel_ends(own, other):
-        start = WarmStart()
-        start.normal = normal
-        start.valid = 1
-        found = separation(form_1, form_2, pose.origin, wp.quat_from_matrix(pose.rotation), start)
-        on_first = found.point_a
-        on_second = found.point_b
-        if found.status == MET:
-            normal = found.normal
-            gap = found.gap
+        on_first = vec3d()
+        on_second = vec3d()
+        distance = wp.length(on_axis_1 - on_axis_2)
+        if form_1.ball_radius > double(0.0) and form_2.ball_radius > double(0.0) and distance > double(0.0):
+            # Spheres and capsules.
+            normal = (on_axis_1 - on_axis_2) / distance
+            gap = distance - form_1.ball_radius - form_2.ball_radius
+            on_first = on_axis_1 - form_1.ball_radius * normal
+            on_second = on_axis_2 + form_2.ball_radius * normal
         else:
-            # The separation along another direction is smaller, so that no contact is lost.
-            on_first = moved(pose, ConvexForm.support(form_1, -(wp.transpose(pose.rotation) * normal)))
-            on_second = ConvexForm.support(form_2, normal)
+            start = WarmStart()
+            start.normal = normal
+            start.valid = 1
+            found = separation(form_1, form_2, pose.origin, wp.quat_from_matrix(pose.rotation), start)
+            on_first = found.point_a
+            on_second = found.point_b
+            if found.status == MET:
+                normal = found.normal
+                gap = found.gap
+            else:
+                # The separation along another direction is smaller, so that no contact is lost.
+                on_first = moved(pose, ConvexForm.support(form_1, -(wp.transpose(pose.rotation) * normal)))
+                on_second = ConvexForm.support(form_2, normal)
         if gap > reach.margin:
             return
         own = support_feature(first, pose, -normal)

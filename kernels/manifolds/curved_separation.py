@@ -209,7 +209,8 @@ def separation_of_faces(
     vertex = features.corner[first_corner]
     if likely[1] >= vertex and likely[1] <= features.corner[features.corner_start[geometry + 1] - 1]:
         vertex = likely[1]
-    for k in range(2):
+    ends = wp.int32(2)
+    for k in range(ends):
         side = double(2 * k - 1)
         if flat_end(pair.other.flags, vec3d(double(0.0), double(0.0), side)) == 0:
             continue

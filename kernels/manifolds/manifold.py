@@ -520,6 +520,7 @@ def reset_manifolds(real: type) -> wp.Kernel:
         history.overflow[env, number] = 0
         history.likely[env, number] = wp.vec4i()
         history.count[env, number] = 0
+        history_out.likely[env, number] = wp.vec4i()
         history_out.count[env, number] = 0
         clear_points(history_out, manifold_points, env, start, end)
         for slot in range(start, end):
