@@ -1,7 +1,7 @@
-"""Curved solids and points as shapes of one class, whose separation ``kernels/shapes`` computes.
+"""Curved solids as shapes of one class, whose separation ``kernels/shapes`` computes.
 
 A form is an ellipsoid, a cone, or the sum of a disc, a segment and a ball: a cylinder is a disc and a segment, a capsule a
-segment and a ball, a point has neither. So one search for the direction of the largest separation serves all pairs.
+segment and a ball. So one search for the direction of the largest separation serves all pairs.
 """
 
 from typing import Any, ClassVar

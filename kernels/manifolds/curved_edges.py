@@ -10,7 +10,6 @@ import warp as wp
 from warpcontact.kernels.body_contact.curved_solids import CAPSULE
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, corner_count
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry
-from warpcontact.kernels.manifolds.convex_form import FormCoefficients, form_of, separation
 from warpcontact.kernels.manifolds.curved_hull import (
     ALONG_AXIS,
     CIRCLES,
@@ -25,12 +24,10 @@ from warpcontact.kernels.manifolds.curved_hull import (
 from warpcontact.kernels.manifolds.curved_separation import CurvedPair
 from warpcontact.kernels.manifolds.features import Features, moved, vertex_position
 from warpcontact.kernels.manifolds.separation import edge_bound, height_above_plane
-from warpcontact.kernels.shapes.base import WarmStart
-from warpcontact.kernels.types import MET
 
 double = wp.float64
 vec3d = wp.vec3d
-zero, one = wp.constant(double(0.0)), wp.constant(double(1.0))
+zero, half, one = (wp.constant(double(value)) for value in (0.0, 0.5, 1.0))
 
 # Sine up to which a direction counts as perpendicular to an edge.
 PERPENDICULAR = wp.constant(double(1.0e-9))
@@ -336,23 +333,46 @@ def leaves_vertex(geometries: Geometries, features: Features, own: SolidGeometry
 
 
 @wp.func
-def contact_with_vertex(hull: CurvedHull, other: SolidGeometry, pose: RelativePose, position: vec3d, start: vec3d):
-    """Returns the contact of a curved solid with a vertex at ``position``, without flat ends; ``start``: a likely normal."""
-    if hull.kind != ONE_ELLIPSOID:
-        return nearest_surface_point(hull, position, False)
+def contact_of_ellipsoid(other: SolidGeometry, pose: RelativePose, position: vec3d):
+    """Returns the contact of an ellipsoid with a point.
+
+    The point y has the nearest point x of an ellipsoid with the semi-axes a if yᵢ = (1 + t/aᵢ²) xᵢ. The largest such t is a root of a
+    convex function, to which Newton's method rises from a lower bound.
+    """
     result = PointContact()
     result.gap = -double(wp.inf)
-    guess = WarmStart()
-    guess.normal = start
-    guess.valid = 1
-    found = separation(
-        form_of(other), FormCoefficients(), pose.origin - position, wp.quat_from_matrix(pose.rotation), guess
-    )
-    if found.status == MET:
-        result.gap = found.gap
-        result.normal = found.normal
-        result.on_curved = position + found.point_a
+    local = wp.transpose(pose.rotation) * (position - pose.origin)
+    axes = other.scale
+    squares = wp.cw_mul(axes, axes)
+    size = wp.max(squares)
+    t = wp.max(wp.cw_mul(axes, wp.abs(local)) - squares)
+    outward = vec3d()
+    steps = wp.int32(MAX_STEPS)
+    for _ in range(steps):
+        shifted = squares + vec3d(t, t, t)
+        if wp.min(shifted) <= FLAT * size:
+            # Near the plane or the center in which the nearest point is not unique.
+            return result
+        outward = wp.cw_div(local, shifted)
+        scaled_normal = wp.cw_mul(axes, outward)
+        square = wp.length_sq(scaled_normal)
+        step = half * (square - one) / wp.dot(scaled_normal, wp.cw_div(scaled_normal, shifted))
+        t += step
+        if step <= FLAT * size:
+            break
+    length = wp.length(outward)
+    result.gap = t * length
+    result.normal = -(pose.rotation * outward) / length
+    result.on_curved = position + result.gap * result.normal
     return result
+
+
+@wp.func
+def contact_with_vertex(hull: CurvedHull, other: SolidGeometry, pose: RelativePose, position: vec3d):
+    """Returns the contact of a curved solid with a vertex at ``position``; flat ends do not count."""
+    if hull.kind == ONE_ELLIPSOID:
+        return contact_of_ellipsoid(other, pose, position)
+    return nearest_surface_point(hull, position, False)
 
 
 @wp.func
@@ -406,7 +426,7 @@ def contact_with_edge(
     if beyond < zero or beyond > one:
         vertex = wp.where(beyond < zero, edge[0], edge[1])
         position = vertex_position(geometries, vertex, own)
-        at_vertex = contact_with_vertex(hull, other, pose, position, wp.normalize(line.first + line.second))
+        at_vertex = contact_with_vertex(hull, other, pose, position)
         if at_vertex.gap > result.gap and at_vertex.gap >= -depth:
             if (
                 leaves_face(geometries, own, edge[2], vertex, at_vertex.normal)
