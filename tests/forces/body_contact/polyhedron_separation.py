@@ -48,7 +48,7 @@ class PolyhedronSeparation:
         def gaps(n):
             return self.along(kind, position, rotation, n)
 
-        value, normal = self.of_faces(kind, position, rotation)
+        normal = self.of_faces(kind, position, rotation)[1]
         found = [normal]
         fractions = np.linspace(0.0, 1.0, 33)
         arcs = unit(self.arcs[:, :1] + fractions[:, None] * (self.arcs[:, 1:] - self.arcs[:, :1]))

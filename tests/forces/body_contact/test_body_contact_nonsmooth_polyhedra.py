@@ -83,7 +83,9 @@ def test_gaps_of_curved_solids_on_convex_meshes_are_their_separations(device):
     for i, (kind, name) in enumerate(pairs):
         body = scene.add_body(1.0, (0.01,) * 3, name=f"body{i}", motion=Return())
         solid = scene.add_shape(body, FORMS[kind])
-        scene.add_body_contact(solid, scene.add_surface(meshes[name]), rigid(mu=0.5), name=f"touch{i}", margin=MARGIN)
+        scene.add_body_contact(
+            solid, scene.add_surface(meshes[name]), rigid(mu=0.5), name=f"touch{i}", margin=MARGIN
+        )
     model = scene.build(envs=len(GAPS), device=device, precision="float64")
     places = []
     for i, (kind, name) in enumerate(pairs):
