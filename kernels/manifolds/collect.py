@@ -18,6 +18,9 @@ from warpcontact.kernels.manifolds.face_clipping import (
     ClippedCorner,
     clip_outline,
     corner_feature,
+    corner_height,
+    corner_position,
+    edge_after,
     heights_of_outline,
 )
 from warpcontact.kernels.manifolds.features import Feature, Features, edge_feature, moved, vertex_position
@@ -59,15 +62,15 @@ def width_of(corners: wp.array(dtype=ClippedCorner), first: int, count: int, nor
     """Returns the smallest width of a convex polygon in the plane normal to ``normal`` [m]."""
     width = double(wp.inf)
     for i in range(count):
-        start = corners[first + i].position
-        edge = across(corners[first + wp.where(i == count - 1, 0, i + 1)].position - start, normal)
+        start = corner_position(corners[first + i])
+        edge = across(corner_position(corners[first + wp.where(i == count - 1, 0, i + 1)]) - start, normal)
         length = wp.length(edge)
         if length == double(0.0):
             continue
         inward = wp.cross(normal, edge) / length
         farthest = double(0.0)
         for k in range(count):
-            farthest = wp.max(farthest, wp.abs(wp.dot(inward, corners[first + k].position - start)))
+            farthest = wp.max(farthest, wp.abs(wp.dot(inward, corner_position(corners[first + k]) - start)))
         width = wp.min(width, farthest)
     return width
 
@@ -134,9 +137,9 @@ def add_corners(
         if not few:
             largest = -double(wp.inf)
             for k in range(count):
-                value = -corners[first + k].height
+                value = -corner_height(corners[first + k])
                 if number > 0:
-                    value = wp.dot(direction, corners[first + k].position)
+                    value = wp.dot(direction, corner_position(corners[first + k]))
                 if value > largest:
                     largest = value
                     i = k
@@ -145,15 +148,16 @@ def add_corners(
                 v = SINE_STEP * wp.dot(direction, u_axis) + COSINE_STEP * wp.dot(direction, v_axis)
                 direction = u * u_axis + v * v_axis
         corner = corners[first + i]
-        if corner.height > reach.margin or corner.height < -reach.depth:
+        height = corner_height(corner)
+        if height > reach.margin or height < -reach.depth:
             continue
-        before = corners[first + wp.where(i == 0, count - 1, i - 1)].after
+        before = edge_after(corners[first + wp.where(i == 0, count - 1, i - 1)])
         feature = corner_feature(
             features, features.face_plane[reference_face], reference_outline, features.face_plane[other_face],
-            other_outline, before, corner.after, side.is_second,
+            other_outline, before, edge_after(corner), side.is_second,
         )  # fmt: skip
-        position = corner.position - ((double(1.0) - side.kappa) * corner.height) * normal
-        add_candidate(patches, candidates, patch, moved(second_frame, position), corner.height, feature)
+        position = corner_position(corner) - ((double(1.0) - side.kappa) * height) * normal
+        add_candidate(patches, candidates, patch, moved(second_frame, position), height, feature)
 
 
 @wp.func

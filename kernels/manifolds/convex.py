@@ -18,7 +18,6 @@ from warpcontact.kernels.body_contact.surface_queries import (
     INFINITE,
     BoundingBox,
     SolidGeometry,
-    plane_offset,
 )
 from warpcontact.kernels.manifolds.boxes import (
     box_corner,
@@ -30,31 +29,26 @@ from warpcontact.kernels.manifolds.candidates import Candidate, Patch, add_candi
 from warpcontact.kernels.manifolds.collect import (
     Reach,
     ReferenceSide,
-    add_corners,
     add_edges,
 )
-from warpcontact.kernels.manifolds.face_clipping import (
-    FACING,
-    ClippedCorner,
-    clip_outline,
-    low_vertices,
-    outline_box,
-)
+from warpcontact.kernels.manifolds.face_clipping import ClippedCorner
 from warpcontact.kernels.manifolds.features import (
     Feature,
     Features,
     moved,
-    outline_of_face,
     plane_feature,
     vertex_feature,
     vertex_position,
 )
+from warpcontact.kernels.manifolds.reference_plane import add_reference_plane
 from warpcontact.kernels.manifolds.separation import (
     EdgeSeparation,
     PlaneSeparation,
-    face_is_nearest,
+    height_above_plane,
+    is_near_surface,
     largest_edge_separation,
     largest_plane_separation,
+    lowest_vertex,
 )
 
 double = wp.float64
@@ -62,12 +56,6 @@ vec3d = wp.vec3d
 
 # Values of a reference that are no face: none, and two edges.
 NO_REFERENCE, EDGES = wp.constant(0), wp.constant(-1)
-# Faces that are clipped at a time, those of a leaf at most, and planes with several faces that are not clipped twice.
-CLIPPED_FACES, LEAF_FACES, TREATED_PLANES = (wp.constant(i) for i in (32, 8, 16))
-# Cosine of two faces from which on they are nearly parallel, 6°.
-PARALLEL_FACES = wp.constant(double(0.9945))
-# Rounding of separations, relative to the size.
-ROUNDING = wp.constant(double(1.0e-12))
 # Number of vertices up to which all are compared with a plane, without the tree of faces.
 FEW_VERTICES = wp.constant(64)
 # Distances relative to the size by which the previous reference face, and faces rather than edges, are preferred.
@@ -164,97 +152,6 @@ def add_vertices_below(
 
 
 @wp.func
-def add_reference_plane(
-    geometries: Geometries,
-    features: Features,
-    side: ReferenceSide,
-    second_frame: RelativePose,
-    plane: int,
-    overlap: double,
-    reach: Reach,
-    corners: wp.array(dtype=ClippedCorner),
-    pending: wp.array(dtype=wp.int32),
-    patches: wp.array(dtype=Patch),
-    candidates: wp.array(dtype=Candidate),
-):
-    """Adds the corners of the common areas of a plane and the faces of the other solid as candidates of the first patch.
-
-    Faces that are not nearly parallel to the plane, with at most two vertices within reach, add no points to those of their
-    neighbors: of them, only the one that is most nearly parallel counts.
-
-    ``overlap``: depth of the other solid below the plane [m]. ``second_frame``: pose of the reference solid in the frame of
-    the second one.
-    """
-    reference_face = geometries.plane_face[plane]
-    normal = geometries.normal[reference_face]
-    offset = plane_offset(geometries, side.own, reference_face)
-    # Normal in the frame of the other solid.
-    along = wp.transpose(side.pose.rotation) * normal
-    for number in range(features.plane_outline_start[plane], features.plane_outline_start[plane + 1]):
-        reference_outline = features.plane_outline[number]
-        box = outline_box(geometries, features, side.own, reference_outline, reach.margin)
-        box.lower -= wp.max(overlap * normal, vec3d())
-        box.upper -= wp.min(overlap * normal, vec3d())
-        # Below the pending nodes: faces to be clipped, and planes of several faces that were treated.
-        treated = wp.int32(0)
-        steepest = wp.int32(-1)
-        least = -FACING
-        top = start_traversal(pending, CLIPPED_FACES + TREATED_PLANES, side.other)
-        is_complete = wp.bool(False)
-        while not is_complete:
-            clipped = wp.int32(0)
-            while clipped < CLIPPED_FACES - LEAF_FACES and not is_complete:
-                leaf = next_leaf_in_box(
-                    pending, CLIPPED_FACES + TREATED_PLANES, top, geometries, side.other, side.pose, box
-                )
-                top = leaf.top
-                for other_face in range(leaf.first_face, leaf.end_face):
-                    cosine = wp.dot(along, geometries.normal[other_face])
-                    if cosine >= -FACING:
-                        continue
-                    other_plane = features.face_plane[other_face]
-                    outline = outline_of_face(features, other_face)
-                    is_treated = wp.bool(False)
-                    if outline != other_face:
-                        for i in range(CLIPPED_FACES, CLIPPED_FACES + treated):
-                            is_treated = is_treated or pending[i] == other_plane
-                        if not is_treated and treated < TREATED_PLANES:
-                            pending[CLIPPED_FACES + treated] = other_plane
-                            treated += 1
-                    if is_treated:
-                        continue
-                    low = low_vertices(
-                        geometries, features, side.other, side.pose, outline, normal, offset + reach.margin
-                    )
-                    if low == 0:
-                        continue
-                    if low > 2 or cosine < -PARALLEL_FACES:
-                        pending[clipped] = other_face
-                        clipped += 1
-                        if cosine < least:
-                            least = cosine
-                            steepest = -1
-                    elif cosine < least:
-                        least = cosine
-                        steepest = other_face
-                is_complete = leaf.end_face == leaf.first_face
-            if is_complete and steepest >= 0:
-                pending[clipped] = steepest
-                clipped += 1
-            for i in range(clipped):
-                other_face = pending[i]
-                other_outline = outline_of_face(features, other_face)
-                count, start = clip_outline(
-                    geometries, features, side.own, reference_face, reference_outline, side.other, other_face,
-                    other_outline, side.pose, reach.size, corners,
-                )  # fmt: skip
-                add_corners(
-                    geometries, features, side, second_frame, reference_face, reference_outline, other_face,
-                    other_outline, reach, corners, start, count, patches, candidates, 0,
-                )  # fmt: skip
-
-
-@wp.func
 def convex_manifold(
     geometries: Geometries,
     features: Features,
@@ -321,9 +218,11 @@ def convex_manifold(
     else:
         # First the solid that had the reference face, or else the second one.
         starts_with_second = plane_1 < 0
+        least = -double(wp.inf)
         for number in range(2):
             own_is_second = starts_with_second == (number == 0)
             own = second
+            own_geometry = geometry_2
             other = first
             other_geometry = geometry_1
             own_pose = pose
@@ -332,6 +231,7 @@ def convex_manifold(
             likely_vertex = likely[2]
             if not own_is_second:
                 own = first
+                own_geometry = geometry_1
                 other = second
                 other_geometry = geometry_2
                 own_pose = to_first
@@ -339,32 +239,38 @@ def convex_manifold(
                 likely_plane = likely[0]
                 likely_vertex = likely[3]
             found = largest_plane_separation(
-                geometries, features, own, other, other_geometry, own_pose, preferred, likely_plane, likely_vertex,
-                hysteresis, reach.margin,
+                geometries, features, own, own_geometry, other, other_geometry, own_pose, preferred, likely_plane,
+                likely_vertex, hysteresis, least, reach.margin, pending,
             )  # fmt: skip
-            position = moved(own_pose, vertex_position(geometries, found.vertex, other))
             if own_is_second:
                 second_separation = found
-                position_1 = position
+                position_1 = found.witness
                 result.likely[1] = found.plane
                 result.likely[2] = found.vertex
             else:
                 first_separation = found
-                position_2 = position
+                position_2 = found.witness
                 result.likely[0] = found.plane
                 result.likely[3] = found.vertex
             if found.distance > reach.margin:
                 result.code = reference_code(found.plane, own_is_second)
                 return result
-            limit = found.distance + ROUNDING * reach.size
-            if number == 0 and face_is_nearest(geometries, features, own, found, position, limit):
-                # No axis has a larger separation.
-                is_flat = True
-                if own_is_second:
-                    first_separation.distance = -double(wp.inf)
-                else:
-                    second_separation.distance = -double(wp.inf)
-                break
+            least = found.distance
+            if number == 0 and found.is_certain:
+                if is_near_surface(geometries, features, own, found.plane, found.witness):
+                    # The witness is a point of both solids, or above a face. No axis has a larger separation by which another
+                    # face, or edges, replace this face.
+                    is_flat = True
+                    height = height_above_plane(geometries, own, found.plane, found.witness)
+                    normal = geometries.normal[geometries.plane_face[found.plane]]
+                    on_own = found.witness - wp.max(height, double(0.0)) * normal
+                    if own_is_second:
+                        first_separation.distance = -double(wp.inf)
+                        position_2 = moved(to_first, on_own)
+                    else:
+                        second_separation.distance = -double(wp.inf)
+                        position_1 = moved(pose, on_own)
+                    break
     if wp.max(first_separation.distance, second_separation.distance) > reach.margin:
         is_second = second_separation.distance > reach.margin
         result.code = reference_code(
@@ -375,16 +281,18 @@ def convex_manifold(
     if plane_1 >= 0:
         is_second = second_separation.distance > first_separation.distance + hysteresis
     distance = wp.max(first_separation.distance, second_separation.distance)
+    relevant = wp.min(distance + bias, wp.max(reach.margin, distance))
     if are_boxes:
         edge_distance = largest_box_edge_separation(first, second, pose)
         if edge_distance > reach.margin:
             result.code = EDGES
             return result
-        is_flat = edge_distance <= distance
+        is_flat = edge_distance <= relevant
 
     side = ReferenceSide()
     second_frame = no_motion()
     plane = second_separation.plane
+    nearest = second_separation.vertex
     side.own = second
     side.other = first
     side.pose = pose
@@ -393,6 +301,7 @@ def convex_manifold(
     overlap = wp.max(-second_separation.distance, double(0.0))
     if not is_second:
         plane = first_separation.plane
+        nearest = first_separation.vertex
         side.own = first
         side.other = second
         side.pose = to_first
@@ -400,49 +309,42 @@ def convex_manifold(
         second_frame = pose
         overlap = wp.max(-first_separation.distance, double(0.0))
     normal = geometries.normal[geometries.plane_face[plane]]
+    if are_boxes:
+        other_geometry = wp.where(is_second, geometry_1, geometry_2)
+        nearest = features.corner[features.corner_start[other_geometry]]
+        along = wp.transpose(side.pose.rotation) * normal
+        nearest = lowest_vertex(geometries, features, side.other, along, nearest)
     edges = EdgeSeparation()
     edges.edge_1 = -1
     for attempt in range(2):
-        patches[0].gap = double(wp.inf)
-        # Without edges first, if their separation is not larger than that of the faces.
+        # At first edges that replace the face, or are apart; then all, if the face has no points.
         if attempt == 1 or not is_flat:
             edges = largest_edge_separation(
-                geometries, features, first, geometry_1, second, geometry_2, pose, position_1, position_2, distance,
-                reach.margin, pending,
+                geometries, features, first, geometry_1, second, geometry_2, pose, position_1, position_2,
+                wp.where(attempt == 0, relevant, distance), reach.margin, pending,
             )  # fmt: skip
-            if edges.edge_1 >= 0 and edges.distance > reach.margin:
-                result.code = EDGES
-                return result
-        if edges.edge_1 < 0 or edges.distance <= distance + bias:
-            patches[0].normal = normal
-            if not is_second:
-                patches[0].normal = -(pose.rotation * normal)
-            add_reference_plane(
-                geometries,
-                features,
-                side,
-                second_frame,
-                plane,
-                overlap,
-                reach,
-                corners,
-                pending,
-                patches,
-                candidates,
-            )
-            if patches[0].count > 0:
-                result.code = reference_code(plane, is_second)
-                return result
         if edges.edge_1 >= 0:
-            # Also nearly parallel edges that cross outside the common area of the faces.
+            # In the second attempt also nearly parallel edges that cross outside the common area of the faces.
+            result.code = EDGES
+            if edges.distance > reach.margin:
+                return result
+            patches[0].gap = double(wp.inf)
             patches[0].normal = edges.normal
             add_edges(
                 geometries, features, first, second, pose, edges.edge_1, edges.edge_2, edges.normal, kappa, patches,
                 candidates, 0,
             )  # fmt: skip
-            result.code = EDGES
             return result
-        if not is_flat:
-            break
+        if attempt == 0:
+            patches[0].gap = double(wp.inf)
+            patches[0].normal = normal
+            if not is_second:
+                patches[0].normal = -(pose.rotation * normal)
+            add_reference_plane(
+                geometries, features, side, second_frame, plane, overlap, nearest, reach, corners, pending, patches,
+                candidates,
+            )  # fmt: skip
+            if patches[0].count > 0:
+                break
     result.code = reference_code(plane, is_second)
     return result

@@ -6,7 +6,7 @@ a vertex of one of both outlines, or the crossing of an edge of one with an edge
 
 import warp as wp
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
-from warpcontact.kernels.body_contact.surface_queries import BoundingBox, SolidGeometry
+from warpcontact.kernels.body_contact.surface_queries import INFINITE, BoundingBox, SolidGeometry
 from warpcontact.kernels.manifolds.features import (
     Feature,
     Features,
@@ -30,14 +30,34 @@ FACING = wp.constant(double(0.02))
 ON_EDGE = wp.constant(double(1.0e-9))
 
 
-@wp.struct
-class ClippedCorner:
-    """A corner of the common area of two outlines."""
+#: A corner of the common area of two outlines: its position on the other outline, in the frame of the reference solid, and its height
+#: above the reference face, negative in overlap [m]; and the edge that follows: i ≥ 0: edge i of the other outline; below: edge
+#: −1 − i of the reference outline. A vector, because compilers unroll the initialization of arrays of structs.
+ClippedCorner = wp.types.vector(length=5, dtype=wp.float64)
 
-    position: vec3d  # on the other outline, in the frame of the reference solid [m]
-    # The edge that follows: i ≥ 0: edge i of the other outline; below: edge −1 − i of the reference outline.
-    after: wp.int32
-    height: double  # above the reference face, negative in overlap [m]
+
+@wp.func
+def clipped_corner(position: vec3d, height: double, after: int):
+    """Returns a ``ClippedCorner``."""
+    return ClippedCorner(position[0], position[1], position[2], height, double(after))
+
+
+@wp.func
+def corner_position(corner: ClippedCorner):
+    """Returns the position of a corner [m]."""
+    return vec3d(corner[0], corner[1], corner[2])
+
+
+@wp.func
+def corner_height(corner: ClippedCorner):
+    """Returns the height of a corner above the reference face [m]."""
+    return corner[3]
+
+
+@wp.func
+def edge_after(corner: ClippedCorner):
+    """Returns the edge that follows a corner."""
+    return wp.int32(corner[4])
 
 
 @wp.func
@@ -105,6 +125,25 @@ def low_vertices(
 
 
 @wp.func
+def is_outline_outside(
+    geometries: Geometries,
+    features: Features,
+    other: SolidGeometry,
+    pose: RelativePose,
+    outline: int,
+    box: BoundingBox,
+):
+    """Returns whether the bounding box of an outline is outside a box; ``pose``: pose of its solid in the frame of the box."""
+    lower = vec3d(INFINITE, INFINITE, INFINITE)
+    upper = -lower
+    for i in range(features.outline_start[outline], features.outline_start[outline + 1]):
+        position = moved(pose, vertex_position(geometries, features.outline_vertex[i], other))
+        lower = wp.min(lower, position)
+        upper = wp.max(upper, position)
+    return wp.max(wp.max(lower - box.upper, box.lower - upper)) > double(0.0)
+
+
+@wp.func
 def clip_outline(
     geometries: Geometries,
     features: Features,
@@ -150,19 +189,16 @@ def clip_outline(
         for i in range(own_count):
             position = vertex_position(geometries, features.outline_vertex[first_own + i], own)
             height = wp.dot(other_normal, other_origin - position) / slope
-            corners[i].position = position + height * normal
-            corners[i].height = height
-            corners[i].after = -1 - i
+            corners[i] = clipped_corner(position + height * normal, height, -1 - i)
     else:
         for i in range(other_count):
             # In the order of the reference outline, seen from its outside.
             k = other_count - 1 - i
             vertex = features.outline_vertex[first_other + k]
             position = moved(pose, vertex_position(geometries, vertex, other))
-            corners[i].position = position
-            corners[i].height = wp.dot(normal, position - origin)
             # The edge from vertex k to vertex k − 1.
-            corners[i].after = wp.where(k == 0, other_count - 1, k - 1)
+            after = wp.where(k == 0, other_count - 1, k - 1)
+            corners[i] = clipped_corner(position, wp.dot(normal, position - origin), after)
     count = wp.where(cuts_own, own_count, other_count)
     cuts = wp.where(cuts_own, other_count, own_count)
     source = wp.int32(0)
@@ -188,27 +224,25 @@ def clip_outline(
         shift = shift / length + ON_EDGE * size
         least = double(0.0)
         for i in range(count):
-            least = wp.min(least, wp.dot(inward, corners[source + i].position) + shift)
+            least = wp.min(least, wp.dot(inward, corner_position(corners[source + i])) + shift)
         if least == double(0.0):
             continue
         target = CLIPPED_CORNERS - source
         kept = wp.int32(0)
-        value = wp.dot(inward, corners[source].position) + shift
+        value = wp.dot(inward, corner_position(corners[source])) + shift
         for i in range(count):
             following = source + wp.where(i == count - 1, 0, i + 1)
-            value_after = wp.dot(inward, corners[following].position) + shift
+            value_after = wp.dot(inward, corner_position(corners[following])) + shift
             inside = value >= double(0.0)
             if inside and kept < CLIPPED_CORNERS:
                 corners[target + kept] = corners[source + i]
                 kept += 1
             if inside != (value_after >= double(0.0)) and kept < CLIPPED_CORNERS:
                 fraction = value / (value - value_after)
-                position = corners[source + i].position
-                height = corners[source + i].height
-                after = corners[source + i].after
-                corners[target + kept].position = position + fraction * (corners[following].position - position)
-                corners[target + kept].height = height + fraction * (corners[following].height - height)
-                corners[target + kept].after = wp.where(inside, code, after)
+                corner = corners[source + i]
+                code_after = wp.where(inside, code, edge_after(corner))
+                corner = corner + fraction * (corners[following] - corner)
+                corners[target + kept] = clipped_corner(corner_position(corner), corner_height(corner), code_after)
                 kept += 1
             value = value_after
         source = target

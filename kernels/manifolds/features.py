@@ -15,6 +15,8 @@ class Features:
     corner_start: wp.array(dtype=wp.int32)  # [geometry + 1]
     neighbor: wp.array(dtype=wp.int32)  # neighbors of all vertices of convex solids
     neighbor_start: wp.array(dtype=wp.int32)  # [vertex + 1] first of its neighbors in ``neighbor``
+    vertex_plane: wp.array(dtype=wp.int32)  # planes of the faces at all vertices of convex solids
+    vertex_plane_start: wp.array(dtype=wp.int32)  # [vertex + 1] first of its planes in ``vertex_plane``
     edge: wp.array(dtype=wp.vec4i)  # [edge] its two vertices and two faces; the last is −1 at a boundary
     edge_start: wp.array(dtype=wp.int32)  # [geometry + 1]
     sharp_end: wp.array(dtype=wp.int32)  # [geometry] end of its convex edges, which come first
@@ -26,6 +28,15 @@ class Features:
     plane_start: wp.array(dtype=wp.int32)  # [plane + 1] first of its faces in ``plane_face``
     plane_neighbor: wp.array(dtype=wp.int32)  # neighbors of all planes of convex solids
     plane_neighbor_start: wp.array(dtype=wp.int32)  # [plane + 1] first of its neighbors in ``plane_neighbor``
+    # Trees of normals of convex solids (``normal_trees.py``): [node] first of two children, which are consecutive, or −1; first
+    # item; end of its items.
+    normal_node: wp.array(dtype=wp.vec3i)
+    # [node] smallest components of normals, and smallest offset from the center of the geometry [unit of the geometry]
+    normal_lower: wp.array(dtype=wp.vec4d)
+    normal_upper: wp.array(dtype=wp.vec4d)  # [node] largest ones
+    normal_item: wp.array(dtype=wp.int32)  # planes or edges of all leaves
+    plane_root: wp.array(dtype=wp.int32)  # [geometry] root of the tree of its planes
+    edge_root: wp.array(dtype=wp.int32)  # [geometry] root of the tree of its convex edges
     # Outlines, convex polygons: those of the faces, with the same numbers, and those of planes with several faces of convex solids.
     outline_vertex: wp.array(dtype=wp.int32)  # vertices of all outlines, counter-clockwise as seen from outside
     outline_edge: wp.array(dtype=wp.int32)  # the edge that follows each vertex

@@ -35,6 +35,7 @@ from warpcontact.kernels.manifolds.collect import (
 from warpcontact.kernels.manifolds.face_clipping import (
     FACE_CORNERS,
     ClippedCorner,
+    corner_height,
     heights_of_outline,
     outline_box,
 )
@@ -228,7 +229,7 @@ def add_face_pair(
             return
     gap = double(wp.inf)
     for i in range(count):
-        gap = wp.min(gap, corners[start + i].height)
+        gap = wp.min(gap, corner_height(corners[start + i]))
     if gap > reach.margin or (gap < double(0.0) and width_of(corners, start, count, normal) < -gap):
         return
     normal_2 = second_frame.rotation * normal

@@ -2,8 +2,8 @@
 
 The separation along an axis is the gap of the projections, negative in overlap. The largest one over all axes is the
 distance of the solids, or the least displacement that separates them. Along the outward normal n of a face or edge of one
-solid it is at most n·(x − p), with a point x of the other solid and a point p of the face or edge. With the vertex x that is
-nearest to the face of the largest separation, this bound excludes most faces and edges.
+solid it is at most n·(x − p), with any point x of the other solid and a point p of the face or edge. A point near the face of
+the largest separation, the *witness*, excludes most faces and edges by trees of their normals.
 """
 
 import warp as wp
@@ -11,12 +11,24 @@ from warpcontact.kernels.body_contact.face_trees import PENDING_NODES
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, is_on_face, plane_offset
 from warpcontact.kernels.manifolds.features import Features, moved, vertex_position
+from warpcontact.kernels.manifolds.normal_trees import (
+    height_above_plane,
+    highest_plane_above,
+    in_unit,
+    next_normals,
+)
 
 double = wp.float64
 vec3d = wp.vec3d
 
 # Sine of the angle between two edges, below which they have no common normal.
 NO_COMMON_NORMAL = wp.constant(double(1.0e-6))
+# Number of times that a witness is moved, and the fraction of the way to the nearest vertex that it is moved too far, so that
+# rounding does not return the same plane.
+MOVES = wp.constant(4)
+OVERSHOOT = wp.constant(double(1.0e-3))
+# Number of edges of the second solid that are compared at a time, and of pending nodes of each traversal.
+EDGES_AT_A_TIME = wp.constant(PENDING_NODES // 3)
 
 
 @wp.struct
@@ -26,8 +38,9 @@ class PlaneSeparation:
     distance: double  # [m]
     plane: wp.int32  # of the solid
     vertex: wp.int32  # of the other solid, nearest to the plane
-    highest: wp.int32  # plane of the solid above which this vertex is highest
-    height: double  # of the vertex above that plane [m]
+    witness: vec3d  # a point of the other solid, in the frame of the solid [m]
+    # Whether the witness is above no plane by more than the separation; in overlap, by more than any that does not replace the plane.
+    is_certain: wp.bool
 
 
 @wp.struct
@@ -93,13 +106,6 @@ def lowest_vertex(geometries: Geometries, features: Features, side: SolidGeometr
 
 
 @wp.func
-def height_above_plane(geometries: Geometries, own: SolidGeometry, plane: int, position: vec3d):
-    """Returns the height of a point above a plane of a solid, in its frame [m]."""
-    face = geometries.plane_face[plane]
-    return wp.dot(geometries.normal[face], position) - plane_offset(geometries, own, face)
-
-
-@wp.func
 def highest_plane(geometries: Geometries, features: Features, own: SolidGeometry, start: int, position: vec3d):
     """Returns the plane of a convex solid above which a point is highest, and the height [m].
 
@@ -124,6 +130,7 @@ def largest_plane_separation(
     geometries: Geometries,
     features: Features,
     own: SolidGeometry,
+    own_geometry: int,
     other: SolidGeometry,
     other_geometry: int,
     pose: RelativePose,
@@ -131,81 +138,106 @@ def largest_plane_separation(
     likely_plane: int,
     likely_vertex: int,
     hysteresis: double,
+    least: double,
     margin: double,
+    pending: wp.array(dtype=wp.int32),
 ):
-    """Returns the ``PlaneSeparation`` of the plane of ``own`` with the largest separation.
-
-    ``preferred_plane`` is returned if its separation is larger, less ``hysteresis``, and the first plane with a separation
-    above ``margin`` if there is one. The search starts with ``likely_plane`` of ``own`` and ``likely_vertex`` of the other
-    solid, numbers of which may be invalid.
-    """
-    result = PlaneSeparation()
-    result.distance = -double(wp.inf)
-    first_corner = features.corner_start[other_geometry]
-    likely = features.corner[first_corner]
-    last = features.corner[features.corner_start[other_geometry + 1] - 1]
-    if likely_vertex >= likely and likely_vertex <= last:
-        likely = likely_vertex
-    start = own.first_plane
-    if likely_plane >= own.first_plane and likely_plane < own.end_plane:
-        start = likely_plane
-    if preferred_plane >= 0:
-        start = preferred_plane
-    limit = -double(wp.inf)
-    # The likely plane first. The separation along others is at most the height of its nearest vertex above them.
-    for number in range(own.first_plane - 1, own.end_plane):
-        plane = wp.where(number < own.first_plane, start, number)
-        distance, likely = separation_along(geometries, features, own, plane, other, pose, limit, likely)
-        if distance > limit:
-            limit = distance
-            result.distance = distance
-            result.plane = plane
-            result.vertex = likely
-            if distance > margin:
-                return result
-            if number < own.first_plane:
-                if preferred_plane >= 0:
-                    limit += hysteresis
-                position = moved(pose, vertex_position(geometries, likely, other))
-                highest, height = highest_plane(geometries, features, own, plane, position)
-                result.highest = highest
-                result.height = height
-                if height <= limit:
-                    return result
-    position = moved(pose, vertex_position(geometries, result.vertex, other))
-    highest, height = highest_plane(geometries, features, own, result.plane, position)
-    result.highest = highest
-    result.height = height
-    return result
-
-
-@wp.func
-def face_is_nearest(
-    geometries: Geometries,
-    features: Features,
-    own: SolidGeometry,
-    found: PlaneSeparation,
-    position: vec3d,
-    distance: double,
-):
-    """Returns whether the nearest vertex is above or below a face, and at most ``distance`` from the surface of a solid.
-
-    Its distance is negative inside. No axis has a larger separation than this distance.
+    """Returns the ``PlaneSeparation`` of the plane of a solid with the largest separation.
 
     Args:
         geometries: The geometries.
         features: Their features.
         own: The solid.
-        found: The largest separation along the normals of its planes.
-        position: The nearest vertex of the other solid, in the frame of the solid [m].
-        distance: Largest distance [m].
+        own_geometry: Its geometry.
+        other: The other solid.
+        other_geometry: Its geometry.
+        pose: Pose of the other solid in the frame of the solid.
+        preferred_plane: This plane is returned if its separation is larger, less ``hysteresis``; −1: none.
+        likely_plane: A plane of the solid, where the search starts; the number may be invalid.
+        likely_vertex: A vertex of the other solid, likewise.
+        hysteresis: Advantage of the preferred plane [m].
+        least: Separation up to which planes do not matter: any of them may be returned [m].
+        margin: The first plane with a larger separation is returned if there is one [m].
+        pending: Working memory of ``PENDING_NODES`` numbers.
     """
-    if found.height > distance:
-        return False
-    if found.height <= double(0.0):
+    result = PlaneSeparation()
+    first_corner = features.corner_start[other_geometry]
+    likely = features.corner[first_corner]
+    last = features.corner[features.corner_start[other_geometry + 1] - 1]
+    if likely_vertex >= likely and likely_vertex <= last:
+        likely = likely_vertex
+    plane = own.first_plane
+    if likely_plane >= own.first_plane and likely_plane < own.end_plane:
+        plane = likely_plane
+    if preferred_plane >= 0:
+        plane = preferred_plane
+    distance, vertex = separation_along(geometries, features, own, plane, other, pose, -double(wp.inf), likely)
+    result.distance = distance
+    result.plane = plane
+    result.vertex = vertex
+    result.witness = moved(pose, vertex_position(geometries, vertex, other))
+    if distance > margin:
+        return result
+    limit = wp.max(distance + wp.where(preferred_plane >= 0, hysteresis, double(0.0)), least)
+    # Planes that the witness is above are compared. One whose separation is not larger excludes itself by a witness that is moved
+    # towards its nearest vertex, on the line to which all points are in the other solid.
+    leaf_first = wp.int32(0)
+    leaf_end = wp.int32(0)
+    moves = wp.int32(0)
+    top = wp.int32(0)
+    while True:
+        height = double(0.0)
+        is_moved = moves < MOVES
+        if is_moved:
+            moves += 1
+            threshold = wp.min(limit, wp.max(result.distance, double(0.0)))
+            plane, height = highest_plane_above(
+                geometries, features, own, own_geometry, result.witness, threshold, pending
+            )
+            if plane < 0:
+                result.is_certain = True
+                return result
+            if moves == MOVES:
+                pending[0] = features.plane_root[own_geometry]
+                top = 1
+        else:
+            # Then all of them in turn.
+            if leaf_first == leaf_end:
+                leaf = next_normals(pending, 0, top, features, in_unit(own, result.witness, limit))
+                leaf_first = leaf.first
+                leaf_end = leaf.end
+                top = leaf.top
+                if leaf_first == leaf_end:
+                    return result
+            plane = features.normal_item[leaf_first]
+            leaf_first += 1
+            if height_above_plane(geometries, own, plane, result.witness) <= limit:
+                continue
+        distance, vertex = separation_along(geometries, features, own, plane, other, pose, limit, vertex)
+        if distance > limit:
+            limit = distance
+            result.distance = distance
+            result.plane = plane
+            result.vertex = vertex
+            if distance > margin:
+                return result
+        if is_moved:
+            nearest = moved(pose, vertex_position(geometries, vertex, other))
+            threshold = wp.min(limit, wp.max(result.distance, double(0.0)))
+            fraction = (height - threshold) / (height - distance) + OVERSHOOT
+            result.witness += wp.min(fraction, double(1.0)) * (nearest - result.witness)
+    return result
+
+
+@wp.func
+def is_near_surface(geometries: Geometries, features: Features, own: SolidGeometry, plane: int, position: vec3d):
+    """Returns whether a point is below a plane of a convex solid, or above one of the faces of the plane."""
+    face = geometries.plane_face[plane]
+    height = height_above_plane(geometries, own, plane, position)
+    if height <= double(0.0):
         return True
-    position -= found.height * geometries.normal[geometries.plane_face[found.highest]]
-    for i in range(features.plane_start[found.highest], features.plane_start[found.highest + 1]):
+    position -= height * geometries.normal[face]
+    for i in range(features.plane_start[plane], features.plane_start[plane + 1]):
         if is_on_face(geometries, own, features.plane_face[i], position):
             return True
     return False
@@ -303,8 +335,8 @@ def largest_edge_separation(
         second: The second solid.
         geometry_2: Its geometry.
         pose: Pose of the first solid in the frame of the second one.
-        position_1: A point of the first solid near the second one, in the frame of the second one [m].
-        position_2: A point of the second solid near the first one, in the frame of the first one [m].
+        position_1: A point of the first solid, near the second one, in the frame of the second one [m].
+        position_2: A point of the second solid, near the first one, in the frame of the first one [m].
         least: Separation above which edges matter [m].
         margin: Separation that ends the search [m].
         near: Working memory of ``PENDING_NODES`` numbers.
@@ -312,41 +344,60 @@ def largest_edge_separation(
     result = EdgeSeparation()
     result.distance = least
     result.edge_1 = -1
-    room = wp.int32(PENDING_NODES)
-    next_edge = features.edge_start[geometry_2]
-    end_2 = features.sharp_end[geometry_2]
-    while next_edge < end_2:
+    room = wp.int32(EDGES_AT_A_TIME)
+    point_1 = in_unit(second, position_1, least)
+    near[room] = features.edge_root[geometry_2]
+    top_2 = room + 1
+    item_2 = wp.int32(0)
+    end_2 = wp.int32(0)
+    is_complete = wp.bool(False)
+    while not is_complete:
         # Some of the edges of the second solid that may touch, with all of the first one.
         count = wp.int32(0)
-        while next_edge < end_2 and count < room:
-            if edge_bound(geometries, features.edge[next_edge], second, position_1) > least:
-                near[count] = next_edge
-                count += 1
-            next_edge += 1
+        while count < room and not is_complete:
+            if item_2 == end_2:
+                leaf = next_normals(near, room, top_2, features, point_1)
+                item_2 = leaf.first
+                end_2 = leaf.end
+                top_2 = leaf.top
+                is_complete = item_2 == end_2
+            else:
+                edge = features.normal_item[item_2]
+                item_2 += 1
+                if edge_bound(geometries, features.edge[edge], second, position_1) > least:
+                    near[count] = edge
+                    count += 1
         if count == 0:
             break
-        for i in range(features.edge_start[geometry_1], features.sharp_end[geometry_1]):
-            edge_1 = features.edge[i]
-            if edge_bound(geometries, edge_1, first, position_2) <= least:
-                continue
-            n_1 = pose.rotation * geometries.normal[edge_1[2]]
-            n_2 = pose.rotation * geometries.normal[edge_1[3]]
-            start_1 = moved(pose, vertex_position(geometries, edge_1[0], first))
-            for k in range(count):
-                edge_2 = features.edge[near[k]]
-                if not arcs_cross(n_1, n_2, geometries.normal[edge_2[2]], geometries.normal[edge_2[3]]):
+        point_2 = in_unit(first, position_2, result.distance)
+        near[2 * room] = features.edge_root[geometry_1]
+        other = next_normals(near, 2 * room, 2 * room + 1, features, point_2)
+        while other.end > other.first:
+            for item_1 in range(other.first, other.end):
+                i = features.normal_item[item_1]
+                edge_1 = features.edge[i]
+                if edge_bound(geometries, edge_1, first, position_2) <= result.distance:
                     continue
-                normal = common_normal(geometries, edge_1, edge_2, first, second, pose)
-                if wp.length_sq(normal) == double(0.0):
-                    continue
-                distance = wp.dot(normal, start_1 - vertex_position(geometries, edge_2[0], second))
-                if distance > result.distance:
-                    result.distance = distance
-                    result.edge_1 = i
-                    result.edge_2 = near[k]
-                    result.normal = normal
-                    if distance > margin:
-                        return result
+                n_1 = pose.rotation * geometries.normal[edge_1[2]]
+                n_2 = pose.rotation * geometries.normal[edge_1[3]]
+                start_1 = moved(pose, vertex_position(geometries, edge_1[0], first))
+                for k in range(count):
+                    edge_2 = features.edge[near[k]]
+                    if not arcs_cross(n_1, n_2, geometries.normal[edge_2[2]], geometries.normal[edge_2[3]]):
+                        continue
+                    normal = common_normal(geometries, edge_1, edge_2, first, second, pose)
+                    if wp.length_sq(normal) == double(0.0):
+                        continue
+                    distance = wp.dot(normal, start_1 - vertex_position(geometries, edge_2[0], second))
+                    if distance > result.distance:
+                        result.distance = distance
+                        result.edge_1 = i
+                        result.edge_2 = near[k]
+                        result.normal = normal
+                        if distance > margin:
+                            return result
+            point_2 = in_unit(first, position_2, result.distance)
+            other = next_normals(near, 2 * room, other.top, features, point_2)
     return result
 
 
