@@ -39,14 +39,36 @@ class Patch:
     lost_gap: double  # in the first patch: smallest gap of the areas of the pair that have no patch [m]
 
 
-@wp.struct
-class Candidate:
-    """A candidate for a point, in the frame of the second solid."""
+#: A candidate for a point, in the frame of the second solid: its position K [m]; its gap, negative in overlap [m]; the numbers of its
+#: ``Feature``; and 1 if it was a point in the last step. A vector, because compilers unroll the initialization of arrays of structs.
+Candidate = wp.types.vector(length=7, dtype=wp.float64)
 
-    position: vec3d  # K [m]
-    gap: double  # negative in overlap [m]
-    feature: Feature
-    was_point: wp.int32  # 1: it was a point in the last step
+
+@wp.func
+def candidate_position(one: Candidate):
+    """Returns the position of a candidate [m]."""
+    return vec3d(one[0], one[1], one[2])
+
+
+@wp.func
+def candidate_gap(one: Candidate):
+    """Returns the gap of a candidate [m]."""
+    return one[3]
+
+
+@wp.func
+def candidate_feature(one: Candidate):
+    """Returns the ``Feature`` of a candidate."""
+    feature = Feature()
+    feature.first = wp.int32(one[4])
+    feature.second = wp.int32(one[5])
+    return feature
+
+
+@wp.func
+def was_point_before(one: Candidate):
+    """Returns 1 if a candidate was a point in the last step."""
+    return wp.int32(one[6])
 
 
 @wp.func
@@ -73,9 +95,9 @@ def keep_extremes(candidates: wp.array(dtype=Candidate), first: int, count: int,
         best = wp.int32(-1)
         largest = -LARGEST
         for i in range(count):
-            value = wp.dot(along, candidates[first + i].position)
+            value = wp.dot(along, candidate_position(candidates[first + i]))
             if direction == 0:
-                value = -candidates[first + i].gap
+                value = -candidate_gap(candidates[first + i])
             if value > largest:
                 largest = value
                 best = i
@@ -105,13 +127,12 @@ def add_candidate(
     first = CANDIDATES * patch
     count = patches[patch].count
     patches[patch].gap = wp.min(patches[patch].gap, gap)
-    one = Candidate()
-    one.position = position
-    one.gap = gap
-    one.feature = feature
+    one = Candidate(
+        position[0], position[1], position[2], gap, double(feature.first), double(feature.second), double(0.0)
+    )
     for i in range(count):
-        if same_feature(candidates[first + i].feature, feature):
-            if gap < candidates[first + i].gap:
+        if same_feature(candidate_feature(candidates[first + i]), feature):
+            if gap < candidate_gap(candidates[first + i]):
                 candidates[first + i] = one
             return
     if count == CANDIDATES:
@@ -150,15 +171,15 @@ def choose_points(
     origin = vec3d()
     deepest = -LARGEST
     for i in range(patch.count):
-        origin += candidates[first + i].position / double(patch.count)
-        deepest = wp.max(deepest, -candidates[first + i].gap)
+        origin += candidate_position(candidates[first + i]) / double(patch.count)
+        deepest = wp.max(deepest, -candidate_gap(candidates[first + i]))
     triangle = wp.mat33d()
     for number in range(POINTS):
         # The largest value within the tie, in two passes.
         largest = -LARGEST
         for i in range(patch.count):
             value = candidate_value(candidates[first + i], number, origin, triangle, n)
-            if number > 0 or -candidates[first + i].gap >= deepest - SAME_POINT * size:
+            if number > 0 or -candidate_gap(candidates[first + i]) >= deepest - SAME_POINT * size:
                 largest = wp.max(largest, value)
         if number > 0 and largest <= SAME_POINT * size:
             if number == 1:
@@ -167,22 +188,24 @@ def choose_points(
         best = wp.int32(-1)
         best_was_point = wp.int32(0)
         for i in range(patch.count):
-            was_point = candidates[first + i].was_point
+            was_point = was_point_before(candidates[first + i])
             limit = wp.where(was_point == 1, largest - PREFERENCE * largest, largest - TIE * largest)
             tolerance = wp.where(was_point == 1, SAME_DEPTH, SAME_POINT) * size
-            if number == 0 and -candidates[first + i].gap < deepest - tolerance:
+            if number == 0 and -candidate_gap(candidates[first + i]) < deepest - tolerance:
                 continue
             if candidate_value(candidates[first + i], number, origin, triangle, n) < limit:
                 continue
             is_first = best < 0 or was_point > best_was_point
             if was_point == best_was_point and best >= 0:
-                is_first = is_before(candidates[first + i].feature, candidates[first + best].feature)
+                is_first = is_before(
+                    candidate_feature(candidates[first + i]), candidate_feature(candidates[first + best])
+                )
             if is_first:
                 best = i
                 best_was_point = was_point
         chosen[found] = first + best
         found += 1
-        position = candidates[first + best].position
+        position = candidate_position(candidates[first + best])
         if number == 0:
             origin = position
         if number < 3:
@@ -202,10 +225,10 @@ def candidate_value(one: Candidate, number: int, origin: vec3d, triangle: wp.mat
         n: Normal of the patch.
     """
     if number <= 1:
-        return wp.length(across(one.position - origin, n))
+        return wp.length(across(candidate_position(one) - origin, n))
     along = wp.normalize(across(triangle[1] - triangle[0], n))
     if number == 2:
-        return wp.abs(wp.dot(wp.cross(n, along), one.position - triangle[0]))
+        return wp.abs(wp.dot(wp.cross(n, along), candidate_position(one) - triangle[0]))
     # Distances outside the edges of the triangle, which may be in either order.
     turn = wp.where(wp.dot(wp.cross(n, along), triangle[2] - triangle[0]) > double(0.0), double(-1.0), double(1.0))
     largest = -LARGEST
@@ -213,5 +236,5 @@ def candidate_value(one: Candidate, number: int, origin: vec3d, triangle: wp.mat
         start = triangle[i]
         end = triangle[wp.where(i == 2, 0, i + 1)]
         outward = turn * wp.normalize(wp.cross(n, across(end - start, n)))
-        largest = wp.max(largest, wp.dot(outward, one.position - start))
+        largest = wp.max(largest, wp.dot(outward, candidate_position(one) - start))
     return largest

@@ -27,6 +27,9 @@ from warpcontact.kernels.manifolds.candidates import (
     POINTS,
     Candidate,
     Patch,
+    candidate_feature,
+    candidate_gap,
+    candidate_position,
 )
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex import NO_REFERENCE, add_vertices_below, convex_manifold
@@ -273,18 +276,21 @@ def find_manifolds(
         center_of_mass = place_of(state, env, body_1)
         for i in range(count):
             one = candidates[points[i].candidate]
+            position = candidate_position(one)
+            gap = candidate_gap(one)
+            feature = candidate_feature(one)
             slot = points[i].slot
-            offset = pose.second_axes.rotation * one.position
-            is_closed = wp.where(one.gap <= contact_gap, 1, 0)
+            offset = pose.second_axes.rotation * position
+            is_closed = wp.where(gap <= contact_gap, 1, 0)
             was_closed = points[i].is_matched * history_in.is_closed[env, slot]
-            history_out.feature_1[env, slot] = one.feature.first
-            history_out.feature_2[env, slot] = one.feature.second
-            history_out.position[env, slot] = one.position
+            history_out.feature_1[env, slot] = feature.first
+            history_out.feature_2[env, slot] = feature.second
+            history_out.position[env, slot] = position
             history_out.is_closed[env, slot] = is_closed
             manifold_points.is_present[env, slot] = 1
             manifold_points.carries[env, slot] = points[i].is_matched
             manifold_points.is_new[env, slot] = wp.where(is_closed > was_closed, 1, 0)
-            manifold_points.gap[env, slot] = real(one.gap)
+            manifold_points.gap[env, slot] = real(gap)
             manifold_points.normal[env, slot] = from_float64(
                 pose.second_axes.rotation * patches[points[i].patch].normal
             )

@@ -10,6 +10,8 @@ from warpcontact.kernels.manifolds.candidates import (
     MAX_PATCHES,
     Candidate,
     Patch,
+    candidate_feature,
+    candidate_position,
     choose_points,
 )
 from warpcontact.kernels.manifolds.records import ManifoldHistory
@@ -42,11 +44,14 @@ def mark_previous_points(
     """Marks the candidates that are points of the last step, which are in slots ``start`` to ``end``."""
     for patch in range(MAX_PATCHES):
         for i in range(CANDIDATES * patch, CANDIDATES * patch + patches[patch].count):
-            candidates[i].was_point = 0
+            one = candidates[i]
+            feature = candidate_feature(one)
+            one[6] = double(0.0)
             for slot in range(start, end):
-                same = history.feature_1[env, slot] == candidates[i].feature.first
-                if same and history.feature_2[env, slot] == candidates[i].feature.second:
-                    candidates[i].was_point = 1
+                same = history.feature_1[env, slot] == feature.first
+                if same and history.feature_2[env, slot] == feature.second:
+                    one[6] = double(1.0)
+            candidates[i] = one
 
 
 @wp.func
@@ -85,7 +90,8 @@ def patch_size(
     for i in range(count):
         for k in range(i):
             if points[i].patch == patch and points[k].patch == patch:
-                difference = candidates[points[i].candidate].position - candidates[points[k].candidate].position
+                position = candidate_position(candidates[points[i].candidate])
+                difference = position - candidate_position(candidates[points[k].candidate])
                 largest = wp.max(largest, wp.length(difference))
     return wp.where(largest > double(0.0), largest, size)
 
@@ -106,7 +112,7 @@ def match_points(
     for k in range(end - start):
         taken[k] = 0
     for i in range(count):
-        feature = candidates[points[i].candidate].feature
+        feature = candidate_feature(candidates[points[i].candidate])
         for slot in range(start, end):
             if taken[slot - start] == 0 and points[i].slot < 0:
                 same = history.feature_1[env, slot] == feature.first
@@ -117,7 +123,7 @@ def match_points(
     for i in range(count):
         if points[i].slot >= 0:
             continue
-        position = candidates[points[i].candidate].position
+        position = candidate_position(candidates[points[i].candidate])
         nearest = NEAREST * patch_size(candidates, points, count, points[i].patch, size)
         best = wp.int32(-1)
         for slot in range(start, end):
