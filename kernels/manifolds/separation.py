@@ -12,6 +12,7 @@ from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, is_on_face, plane_offset
 from warpcontact.kernels.manifolds.features import Features, moved, vertex_position
 from warpcontact.kernels.manifolds.normal_trees import (
+    NormalLeaf,
     height_above_plane,
     highest_plane_above,
     in_unit,
@@ -171,61 +172,55 @@ def largest_plane_separation(
         plane = likely_plane
     if preferred_plane >= 0:
         plane = preferred_plane
-    distance, vertex = separation_along(geometries, features, own, plane, other, pose, -double(wp.inf), likely)
-    result.distance = distance
-    result.plane = plane
-    result.vertex = vertex
-    result.witness = moved(pose, vertex_position(geometries, vertex, other))
-    if distance > margin:
-        return result
-    limit = wp.max(distance + wp.where(preferred_plane >= 0, hysteresis, double(0.0)), least)
     # Planes that the witness is above are compared. One whose separation is not larger excludes itself by a witness that is moved
-    # towards its nearest vertex, on the line to which all points are in the other solid.
-    leaf_first = wp.int32(0)
-    leaf_end = wp.int32(0)
+    # towards its nearest vertex, on the line to which all points are in the other solid. After a few of them, all are compared.
+    vertex = wp.int32(likely)
+    limit = -double(wp.inf)
+    height = double(0.0)
+    leaf = NormalLeaf()
     moves = wp.int32(0)
-    top = wp.int32(0)
     while True:
-        height = double(0.0)
-        is_moved = moves < MOVES
-        if is_moved:
-            moves += 1
-            threshold = wp.min(limit, wp.max(result.distance, double(0.0)))
-            plane, height = highest_plane_above(
-                geometries, features, own, own_geometry, result.witness, threshold, pending
-            )
-            if plane < 0:
-                result.is_certain = True
-                return result
-            if moves == MOVES:
-                pending[0] = features.plane_root[own_geometry]
-                top = 1
-        else:
-            # Then all of them in turn.
-            if leaf_first == leaf_end:
-                leaf = next_normals(pending, 0, top, features, in_unit(own, result.witness, limit))
-                leaf_first = leaf.first
-                leaf_end = leaf.end
-                top = leaf.top
-                if leaf_first == leaf_end:
-                    return result
-            plane = features.normal_item[leaf_first]
-            leaf_first += 1
-            if height_above_plane(geometries, own, plane, result.witness) <= limit:
-                continue
         distance, vertex = separation_along(geometries, features, own, plane, other, pose, limit, vertex)
-        if distance > limit:
-            limit = distance
+        if moves == 0 or distance > limit:
             result.distance = distance
             result.plane = plane
             result.vertex = vertex
             if distance > margin:
                 return result
-        if is_moved:
+            limit = distance
+            if moves == 0:
+                limit = wp.max(distance + wp.where(preferred_plane >= 0, hysteresis, double(0.0)), least)
+        threshold = wp.min(limit, wp.max(result.distance, double(0.0)))
+        if moves <= MOVES:
             nearest = moved(pose, vertex_position(geometries, vertex, other))
-            threshold = wp.min(limit, wp.max(result.distance, double(0.0)))
-            fraction = (height - threshold) / (height - distance) + OVERSHOOT
-            result.witness += wp.min(fraction, double(1.0)) * (nearest - result.witness)
+            if moves == 0:
+                result.witness = nearest
+            else:
+                fraction = (height - threshold) / (height - distance) + OVERSHOOT
+                result.witness += wp.min(fraction, double(1.0)) * (nearest - result.witness)
+        moves += 1
+        plane = wp.int32(-1)
+        if moves <= MOVES:
+            plane, height = highest_plane_above(
+                geometries, features, own, own_geometry, result.witness, threshold, pending
+            )
+            result.is_certain = plane < 0
+        else:
+            if moves == MOVES + 1:
+                pending[0] = features.plane_root[own_geometry]
+                leaf.top = 1
+            is_complete = wp.bool(False)
+            while plane < 0 and not is_complete:
+                if leaf.first == leaf.end:
+                    leaf = next_normals(pending, 0, leaf.top, features, in_unit(own, result.witness, limit))
+                    is_complete = leaf.first == leaf.end
+                else:
+                    plane = features.normal_item[leaf.first]
+                    leaf.first += 1
+                    if height_above_plane(geometries, own, plane, result.witness) <= limit:
+                        plane = -1
+        if plane < 0:
+            break
     return result
 
 
