@@ -144,7 +144,9 @@ def _tables_of_trees(
         trees: The trees, and the first plane or edge of their geometry.
         roots: Numbers of the trees of planes and of edges of each geometry; −1: none.
     """
-    nodes, items, starts = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [0]
+    nodes: list[NDArray[Any]] = [np.zeros((0, 3), dtype=np.int64)]
+    items: list[NDArray[Any]] = [np.zeros(0, dtype=np.int64)]
+    starts = [0]
     for tree, first in trees:
         count = sum(len(one) for one in items)
         inner = tree.nodes[:, :1] >= 0
