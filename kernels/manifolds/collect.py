@@ -24,7 +24,7 @@ from warpcontact.kernels.manifolds.face_clipping import (
     heights_of_outline,
 )
 from warpcontact.kernels.manifolds.features import Feature, Features, edge_feature, moved, vertex_position
-from warpcontact.kernels.manifolds.separation import closest_on_lines
+from warpcontact.kernels.manifolds.separation import closest_on_edges
 
 double = wp.float64
 vec3d = wp.vec3d
@@ -191,17 +191,10 @@ def add_edges(
         candidates: Their candidates.
         patch: The patch.
     """
-    ends_1 = features.edge[edge_1]
-    ends_2 = features.edge[edge_2]
-    start_1 = moved(pose, vertex_position(geometries, ends_1[0], first))
-    end_1 = moved(pose, vertex_position(geometries, ends_1[1], first))
-    start_2 = vertex_position(geometries, ends_2[0], second)
-    end_2 = vertex_position(geometries, ends_2[1], second)
-    fraction_1, fraction_2 = closest_on_lines(start_1, end_1, start_2, end_2)
-    point_1 = start_1 + wp.clamp(fraction_1, double(0.0), double(1.0)) * (end_1 - start_1)
-    point_2 = start_2 + wp.clamp(fraction_2, double(0.0), double(1.0)) * (end_2 - start_2)
+    point_1, point_2 = closest_on_edges(geometries, features, first, second, pose, edge_1, edge_2)
     feature = Feature()
     feature.first = edge_feature(edge_1)
     feature.second = edge_feature(edge_2)
-    gap = wp.dot(normal, start_1 - start_2)
+    start_1 = moved(pose, vertex_position(geometries, features.edge[edge_1][0], first))
+    gap = wp.dot(normal, start_1 - vertex_position(geometries, features.edge[edge_2][0], second))
     add_candidate(patches, candidates, patch, point_2 + kappa * (point_1 - point_2), gap, feature)

@@ -44,11 +44,14 @@ from warpcontact.kernels.manifolds.reference_plane import add_reference_plane
 from warpcontact.kernels.manifolds.separation import (
     EdgeSeparation,
     PlaneSeparation,
+    closest_on_edges,
+    edge_of_geometry,
     height_above_plane,
     is_near_surface,
     largest_edge_separation,
     largest_plane_separation,
     lowest_vertex,
+    separation_of_edges,
 )
 
 double = wp.float64
@@ -69,7 +72,7 @@ class Reference:
 
     code: wp.int32  # from ``reference_code``, or EDGES
     # The planes of the first and second solid with the largest separation, and the vertices of the first and second solid
-    # nearest to that of the other one; a search starts with those of the last step.
+    # nearest to that of the other one, or −1 − number of the edges of a pair; a search starts with those of the last step.
     likely: wp.vec4i
 
 
@@ -201,6 +204,9 @@ def convex_manifold(
     if previous == EDGES:
         bias = double(0.5) * bias
     is_flat = wp.bool(False)
+    guess = EdgeSeparation()
+    guess.distance = -double(wp.inf)
+    guess.edge_1 = -1
     # Points of both solids near the other one, in its frame.
     position_1 = vec3d()
     position_2 = vec3d()
@@ -216,9 +222,20 @@ def convex_manifold(
         position_1 = moved(pose, box_corner(first, -(to_first.rotation * normal_2)))
         position_2 = moved(to_first, box_corner(second, -(pose.rotation * normal_1)))
     else:
-        # First the solid that had the reference face, or else the second one.
+        # First the edges of the last step, which exclude planes that they replace.
+        if previous == EDGES:
+            edge_1 = edge_of_geometry(features, geometry_1, -1 - likely[2])
+            edge_2 = edge_of_geometry(features, geometry_2, -1 - likely[3])
+            if edge_1 >= 0 and edge_2 >= 0:
+                guess = separation_of_edges(geometries, features, first, second, pose, edge_1, edge_2)
+                if guess.distance > reach.margin:
+                    result.code = EDGES
+                    return result
+                likely[2] = features.edge[edge_1][0]
+                likely[3] = features.edge[edge_2][0]
+        # Then the solid that had the reference face, or else the second one.
         starts_with_second = plane_1 < 0
-        least = -double(wp.inf)
+        least = guess.distance - bias
         for number in range(2):
             own_is_second = starts_with_second == (number == 0)
             own = second
@@ -255,8 +272,8 @@ def convex_manifold(
             if found.distance > reach.margin:
                 result.code = reference_code(found.plane, own_is_second)
                 return result
-            least = found.distance
-            if number == 0 and found.is_certain:
+            least = wp.max(least, found.distance)
+            if number == 0 and found.is_certain and guess.distance <= found.distance + bias:
                 if is_near_surface(geometries, features, own, found.plane, found.witness):
                     # The witness is a point of both solids, or above a face. No axis has a larger separation by which another
                     # face, or edges, replace this face.
@@ -319,13 +336,24 @@ def convex_manifold(
     for attempt in range(2):
         # At first edges that replace the face, or are apart; then all, if the face has no points.
         if attempt == 1 or not is_flat:
+            if attempt == 0 and guess.distance > relevant:
+                point_1, point_2 = closest_on_edges(
+                    geometries, features, first, second, pose, guess.edge_1, guess.edge_2
+                )
+                position_1 = point_1
+                position_2 = moved(to_first, point_2)
+            else:
+                guess.edge_1 = -1
+                guess.distance = wp.where(attempt == 0, relevant, distance)
             edges = largest_edge_separation(
-                geometries, features, first, geometry_1, second, geometry_2, pose, position_1, position_2,
-                wp.where(attempt == 0, relevant, distance), reach.margin, pending,
+                geometries, features, first, geometry_1, second, geometry_2, pose, position_1, position_2, guess,
+                reach.margin, pending,
             )  # fmt: skip
         if edges.edge_1 >= 0:
             # In the second attempt also nearly parallel edges that cross outside the common area of the faces.
             result.code = EDGES
+            result.likely[2] = -1 - edges.edge_1
+            result.likely[3] = -1 - edges.edge_2
             if edges.distance > reach.margin:
                 return result
             patches[0].gap = double(wp.inf)

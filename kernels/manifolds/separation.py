@@ -304,6 +304,46 @@ def edge_bound(geometries: Geometries, edge: wp.vec4i, side: SolidGeometry, posi
 
 
 @wp.func
+def edge_of_geometry(features: Features, geometry: int, edge: int):
+    """Returns an edge if it is a convex edge of a geometry; otherwise −1."""
+    if edge < features.edge_start[geometry] or edge >= features.sharp_end[geometry]:
+        return -1
+    return edge
+
+
+@wp.func
+def separation_of_edges(
+    geometries: Geometries,
+    features: Features,
+    first: SolidGeometry,
+    second: SolidGeometry,
+    pose: RelativePose,
+    edge_1: int,
+    edge_2: int,
+):
+    """Returns the ``EdgeSeparation`` of an edge of each solid; −∞ and ``edge_1`` −1 if they cannot touch each other.
+
+    ``pose``: pose of the first solid in the frame of the second one.
+    """
+    result = EdgeSeparation()
+    result.distance = -double(wp.inf)
+    result.edge_1 = -1
+    own_1 = features.edge[edge_1]
+    own_2 = features.edge[edge_2]
+    n_1 = pose.rotation * geometries.normal[own_1[2]]
+    n_2 = pose.rotation * geometries.normal[own_1[3]]
+    if arcs_cross(n_1, n_2, geometries.normal[own_2[2]], geometries.normal[own_2[3]]):
+        normal = common_normal(geometries, own_1, own_2, first, second, pose)
+        if wp.length_sq(normal) > double(0.0):
+            start_1 = moved(pose, vertex_position(geometries, own_1[0], first))
+            result.distance = wp.dot(normal, start_1 - vertex_position(geometries, own_2[0], second))
+            result.edge_1 = edge_1
+            result.edge_2 = edge_2
+            result.normal = normal
+    return result
+
+
+@wp.func
 def largest_edge_separation(
     geometries: Geometries,
     features: Features,
@@ -314,13 +354,13 @@ def largest_edge_separation(
     pose: RelativePose,
     position_1: vec3d,
     position_2: vec3d,
-    least: double,
+    start: EdgeSeparation,
     margin: double,
     near: wp.array(dtype=wp.int32),
 ):
-    """Returns the ``EdgeSeparation`` of the pair of edges with the largest separation above ``least``.
+    """Returns the ``EdgeSeparation`` of the pair of edges with the largest separation if it is above that of ``start``.
 
-    The first pair with a separation above ``margin`` is returned if there is one. Without any, ``edge_1`` is −1.
+    Otherwise ``start``. The first pair with a separation above ``margin`` is returned if there is one.
 
     Args:
         geometries: The geometries.
@@ -332,15 +372,17 @@ def largest_edge_separation(
         pose: Pose of the first solid in the frame of the second one.
         position_1: A point of the first solid, near the second one, in the frame of the second one [m].
         position_2: A point of the second solid, near the first one, in the frame of the first one [m].
-        least: Separation above which edges matter [m].
+        start: Pair of edges with a separation, or only a separation above which others matter.
         margin: Separation that ends the search [m].
         near: Working memory of ``PENDING_NODES`` numbers.
     """
     result = EdgeSeparation()
-    result.distance = least
-    result.edge_1 = -1
+    result.distance = start.distance
+    result.edge_1 = start.edge_1
+    result.edge_2 = start.edge_2
+    result.normal = start.normal
     room = wp.int32(EDGES_AT_A_TIME)
-    point_1 = in_unit(second, position_1, least)
+    point_1 = in_unit(second, position_1, start.distance)
     near[room] = features.edge_root[geometry_2]
     top_2 = room + 1
     item_2 = wp.int32(0)
@@ -359,7 +401,7 @@ def largest_edge_separation(
             else:
                 edge = features.normal_item[item_2]
                 item_2 += 1
-                if edge_bound(geometries, features.edge[edge], second, position_1) > least:
+                if edge_bound(geometries, features.edge[edge], second, position_1) > result.distance:
                     near[count] = edge
                     count += 1
         if count == 0:
@@ -409,3 +451,29 @@ def closest_on_lines(start_1: vec3d, end_1: vec3d, start_2: vec3d, end_2: vec3d)
     e = wp.dot(along_2, between)
     scale = a * c - b * b
     return (b * e - c * d) / scale, (a * e - b * d) / scale
+
+
+@wp.func
+def closest_on_edges(
+    geometries: Geometries,
+    features: Features,
+    first: SolidGeometry,
+    second: SolidGeometry,
+    pose: RelativePose,
+    edge_1: int,
+    edge_2: int,
+):
+    """Returns the points of two edges, that are not parallel, nearest to the closest points of their lines, in the second frame [m].
+
+    ``pose``: pose of the first solid in the frame of the second one.
+    """
+    ends_1 = features.edge[edge_1]
+    ends_2 = features.edge[edge_2]
+    start_1 = moved(pose, vertex_position(geometries, ends_1[0], first))
+    end_1 = moved(pose, vertex_position(geometries, ends_1[1], first))
+    start_2 = vertex_position(geometries, ends_2[0], second)
+    end_2 = vertex_position(geometries, ends_2[1], second)
+    fraction_1, fraction_2 = closest_on_lines(start_1, end_1, start_2, end_2)
+    point_1 = start_1 + wp.clamp(fraction_1, double(0.0), double(1.0)) * (end_1 - start_1)
+    point_2 = start_2 + wp.clamp(fraction_2, double(0.0), double(1.0)) * (end_2 - start_2)
+    return point_1, point_2

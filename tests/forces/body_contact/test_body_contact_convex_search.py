@@ -8,7 +8,6 @@ import trimesh
 import warp as wp
 from facets import Convex, separations_along, separations_of_edges, separations_of_planes
 from nonsmooth_scenes import rigid
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
@@ -123,7 +122,7 @@ def random_pose(first, second, depth, rng):
 
 def test_reference_has_the_largest_separation_of_all_planes_and_edges(device):
     """At first without a previous step, then with a previous step in another pose."""
-    envs, rounds = 24, 3
+    envs, rounds = 24, 2
     scene = wc.Scene(gravity=(0, 0, 0))
     solids, contacts = [], []
     for i, (one, other) in enumerate(PAIRS.values()):
@@ -186,5 +185,5 @@ def test_reference_has_the_largest_separation_of_all_planes_and_edges(device):
                     assert found >= largest - hysteresis - rounding, case
                     assert own[point] == pytest.approx(found, abs=rounding), case
                     edges_found += 1
-    assert edges_found > 100
-    assert faces_found > 400
+    assert edges_found > 70
+    assert faces_found > 300

@@ -82,7 +82,7 @@ class ManifoldSet:
             "count": (0, MAX_PATCHES * POINTS),
             "reference": (-1, np.iinfo(np.int32).max),
             "overflow": (0, np.iinfo(np.int32).max),
-            "likely": (0, np.iinfo(np.int32).max),
+            "likely": (np.iinfo(np.int32).min, np.iinfo(np.int32).max),
         }
         of_pairs: dict[str, Any] = dict.fromkeys(("count", "reference", "overflow", "likely"), pairs)
         self.history = layout.struct(_PURPOSE, ManifoldHistory, slots, ranges=ranges, **of_pairs)
