@@ -57,6 +57,12 @@ def solid_geometry(geometries: Geometries, pose: SolidPose):
     return side
 
 
+@wp.func
+def largest_extent(side: SolidGeometry):
+    """Returns the largest edge of the bounding box of a solid [m]."""
+    return double(2.0) * wp.max(side.half_extents)
+
+
 @wp.struct
 class BoundingBox:
     """A box with the axes of a frame."""
@@ -66,10 +72,24 @@ class BoundingBox:
 
 
 @wp.struct
-class SolidBoxes:
-    """Boxes around solids with world axes."""
+class SolidMotion:
+    """Bounds of the motion of a solid, and the plane of a half-space."""
 
-    box: wp.array2d(dtype=BoundingBox)  # [env, solid]
+    place: vec3d  # center of mass of its body, or its origin in the world, W [m]
+    radius: double  # of a sphere around this place that contains it [m]
+    speed: double  # of this place [m/s]
+    spin: double  # angular speed [rad/s]
+    extent: double  # largest edge of its bounding box; infinite for half-spaces and open surfaces [m]
+    normal: vec3d  # of a half-space, outward, W; others: zero
+    offset: double  # of the plane of a half-space along its normal [m]
+
+
+@wp.struct
+class SolidBoxes:
+    """Boxes around solids with world axes, and bounds of their motion: [env, solid]."""
+
+    box: wp.array2d(dtype=BoundingBox)
+    motion: wp.array2d(dtype=SolidMotion)
 
 
 @wp.func

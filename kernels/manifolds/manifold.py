@@ -13,12 +13,11 @@ from warpcontact.kernels.body_contact.solids import (
     Geometries,
     PairPose,
     RelativePose,
-    SolidPose,
     Solids,
     inverse_pose,
     no_motion,
 )
-from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, are_apart, solid_geometry
+from warpcontact.kernels.body_contact.surface_queries import SolidBoxes, SolidGeometry, are_apart, solid_geometry
 from warpcontact.kernels.frames import functions as frame_functions
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.manifolds.candidates import (
@@ -33,6 +32,13 @@ from warpcontact.kernels.manifolds.candidates import (
 )
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex import NO_REFERENCE, add_vertices_below, convex_manifold
+from warpcontact.kernels.manifolds.culling import (
+    are_distant,
+    clear_points_of,
+    margin_of_pair,
+    size_of_pair,
+    write_results_of,
+)
 from warpcontact.kernels.manifolds.curved import add_curved_above, curved_manifold
 from warpcontact.kernels.manifolds.curved_pairs import curved_pair_manifold
 from warpcontact.kernels.manifolds.curved_separation import SUPPORTS, CurvedPair, Support
@@ -45,7 +51,14 @@ from warpcontact.kernels.manifolds.point_matching import (
     mark_previous_points,
     match_points,
 )
-from warpcontact.kernels.manifolds.records import ManifoldHistory, ManifoldPairs, manifold_structs
+from warpcontact.kernels.manifolds.records import (
+    RESULTS_DISTANT,
+    RESULTS_SEARCHED,
+    RESULTS_UNKNOWN,
+    ManifoldHistory,
+    ManifoldPairs,
+    manifold_structs,
+)
 from warpcontact.kernels.types import (
     CONTACT,
     DISABLED,
@@ -62,9 +75,6 @@ from warpcontact.kernels.types import (
 double = wp.float64
 vec3d = wp.vec3d
 
-# Largest gap of a point: a multiple of the relative displacement in a step, and a fraction of the size of the bodies.
-STEP_MARGIN = wp.constant(double(2.0))
-SIZE_MARGIN = wp.constant(double(1.0e-3))
 # Kinds of pairs.
 ON_HALF_SPACE, BOTH_CONVEX, MESHES = (wp.constant(i) for i in range(3))
 CURVED_ON_HALF_SPACE, CURVED_ON_FACES, BOTH_CURVED = (wp.constant(i) for i in range(3, 6))
@@ -73,26 +83,17 @@ MAX_POINTS, ALL_CANDIDATES, CLIP_BUFFER = MAX_PATCHES * POINTS, MAX_PATCHES * CA
 
 
 @wp.func
-def largest_extent(side: SolidGeometry):
-    """Returns the largest edge of the bounding box of a solid [m]."""
-    return double(2.0) * wp.max(side.half_extents)
-
-
-@wp.func
-def reach_of_pair(first: SolidGeometry, second: SolidGeometry, are_convex: bool, displacement: double):
-    """Returns the ``Reach`` of a pair; ``displacement``: largest relative displacement in a step [m]."""
+def reach_of_pair(first: SolidGeometry, second: SolidGeometry, are_convex: bool, size: double, margin: double):
+    """Returns the ``Reach`` of a pair with a size and a margin [m]."""
     result = Reach()
-    result.size = largest_extent(first)
+    result.size = size
+    result.margin = margin
     result.depth = double(wp.inf)
-    bounded = (second.flags & (HALF_SPACE | HAS_BOUNDARY)) == 0
-    if bounded:
-        result.size = wp.min(result.size, largest_extent(second))
     if not are_convex:
         # Deeper faces may be on the far side of a part of a body.
         result.depth = wp.min(first.half_extents)
-        if bounded:
+        if (second.flags & (HALF_SPACE | HAS_BOUNDARY)) == 0:
             result.depth = wp.min(result.depth, wp.min(second.half_extents))
-    result.margin = wp.max(displacement, SIZE_MARGIN * result.size)
     return result
 
 
@@ -142,29 +143,6 @@ def pair_with_curved(first: SolidGeometry, second: SolidGeometry, first_in_secon
 
 
 @functools.cache
-def clear_points_of(real: type) -> wp.Function:
-    """Returns the device function that removes the points of a pair from the results of a step."""
-    vec3 = structs(real).vec3
-    ManifoldPoints = manifold_structs(real).ManifoldPoints
-    not_a_number = wp.constant(real(wp.nan))
-
-    @wp.func
-    def clear_points(
-        history_out: ManifoldHistory, manifold_points: ManifoldPoints, env: int, start: int, end: int
-    ):
-        for slot in range(start, end):
-            history_out.feature_1[env, slot] = 0
-            history_out.feature_2[env, slot] = 0
-            history_out.position[env, slot] = vec3d()
-            history_out.is_closed[env, slot] = 0
-            manifold_points.is_present[env, slot] = 0
-            manifold_points.gap[env, slot] = not_a_number
-            manifold_points.position[env, slot] = vec3(not_a_number, not_a_number, not_a_number)
-
-    return clear_points
-
-
-@functools.cache
 def find_manifolds(
     real: type, has_convex: bool, has_meshes: bool, has_curved: bool, has_curved_pairs: bool
 ) -> wp.Kernel:
@@ -181,11 +159,10 @@ def find_manifolds(
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
     ManifoldPoints = manifold_structs(real).ManifoldPoints
-    clear_points = clear_points_of(real)
+    clear_points, write_results = clear_points_of(real), write_results_of(real)
     pair_pose = solid_functions.functions(real).pair_pose
     frame = frame_functions(real)
     to_float64, from_float64 = frame.to_float64, frame.from_float64
-    not_a_number = wp.constant(real(wp.nan))
 
     @wp.func
     def place_of(state: State, env: int, body: int):
@@ -194,68 +171,6 @@ def find_manifolds(
             return vec3d()
         place = to_float64(state.body_position[env, body])
         return place + to_float64(state.body_position_remainder[env, body])
-
-    @wp.func
-    def place_of_solid(state: State, env: int, body: int, pose: SolidPose):
-        """Returns a point of the body of a solid to which ``radius_of_solid`` refers, W [m]."""
-        if body < 0:
-            return pose.position
-        return place_of(state, env, body)
-
-    @wp.func
-    def radius_of_solid(body: int, pose: SolidPose, side: SolidGeometry):
-        """Returns the radius of a sphere around ``place_of_solid`` that contains a bounded solid [m]."""
-        radius = wp.length(side.center) + wp.length(side.half_extents)
-        if body < 0:
-            return radius
-        return radius + wp.length(pose.position)
-
-    @wp.func
-    def relative_displacement(
-        model: Model,
-        state: State,
-        env: int,
-        body_1: int,
-        body_2: int,
-        place: vec3d,
-        radius: double,
-        step: double,
-    ):
-        """Returns a bound of the displacement of points of the first solid relative to the second one in a step [m].
-
-        ``place`` and ``radius`` are those of the first solid. Speeds of both bodies are added, because a body may be
-        stopped by others.
-        """
-        speed = double(0.0)
-        if body_1 >= 0:
-            spin = wp.length(to_float64(state.body_angular_velocity[env, body_1]))
-            speed += wp.length(to_float64(state.body_linear_velocity[env, body_1])) + spin * radius
-        if body_2 >= 0:
-            spin = wp.length(to_float64(state.body_angular_velocity[env, body_2]))
-            arm = wp.length(place - place_of(state, env, body_2)) + radius
-            speed += wp.length(to_float64(state.body_linear_velocity[env, body_2])) + spin * arm
-        return STEP_MARGIN * step * speed + step * step * wp.length(to_float64(model.gravity[env, 0]))
-
-    @wp.func
-    def may_touch(
-        state: State,
-        env: int,
-        body_2: int,
-        pose_2: SolidPose,
-        second: SolidGeometry,
-        place: vec3d,
-        radius: double,
-        margin: double,
-    ):
-        """Returns whether the first solid may be within ``margin`` of the second one, by their bounding spheres."""
-        between = place - place_of_solid(state, env, body_2, pose_2)
-        if (second.flags & HALF_SPACE) != 0:
-            if body_2 >= 0:
-                return True
-            normal = wp.quat_rotate(pose_2.orientation, vec3d(double(0.0), double(0.0), double(1.0)))
-            return wp.dot(normal, between) <= radius + margin
-        reach = radius + radius_of_solid(body_2, pose_2, second) + margin
-        return wp.dot(between, between) <= reach * reach
 
     @wp.func
     def write_points(
@@ -308,6 +223,7 @@ def find_manifolds(
         geometries: Geometries,
         features: Features,
         solids: Solids,
+        boxes: SolidBoxes,
         pairs: SolidPairs,
         settings: wp.array2d(dtype=BodyContactSettings),
         manifold_pairs: ManifoldPairs,
@@ -331,6 +247,25 @@ def find_manifolds(
             if status[env] != ENV_ACTIVE:
                 continue
             pair = manifold_pairs.item[number]
+            solid_1 = pairs.first[pair]
+            solid_2 = pairs.second[pair]
+            is_enabled = settings[env, pair].enabled != 0
+            size = double(0.0)
+            margin = double(0.0)
+            is_distant = wp.bool(False)
+            if is_enabled:
+                motion_1 = boxes.motion[env, solid_1]
+                motion_2 = boxes.motion[env, solid_2]
+                gravity = wp.length(to_float64(model.gravity[env, 0]))
+                size = size_of_pair(motion_1, motion_2)
+                margin = margin_of_pair(
+                    motion_1, motion_2, settings[env, pair].margin, double(step[env, 0]), gravity
+                )
+                is_distant = are_distant(
+                    boxes.box[env, solid_1], motion_1, boxes.box[env, solid_2], motion_2, margin
+                )
+                if is_distant and manifold_pairs.results[env, number] == RESULTS_DISTANT:
+                    continue
             start = manifold_pairs.slot_start[number]
             end = manifold_pairs.slot_start[number + 1]
             if history_out.count[env, number] > 0:
@@ -338,7 +273,6 @@ def find_manifolds(
             for patch in range(MAX_PATCHES):
                 patches[patch].count = 0
             patches[0].lost_gap = double(wp.inf)
-            setting = settings[env, pair]
             contact_status = wp.int32(OPEN)
             reference = history_in.reference[env, number]
             share = double(0.0)
@@ -346,33 +280,21 @@ def find_manifolds(
             deepest = double(wp.inf)
             normal_W = vec3d()
             center_W = vec3d()
-            if setting.enabled == 0:
+            if not is_enabled:
                 contact_status = DISABLED
                 reference = NO_REFERENCE
-            else:
-                solid_1 = pairs.first[pair]
-                solid_2 = pairs.second[pair]
+            elif not is_distant:
+                setting = settings[env, pair]
                 body_1 = solids.body[solid_1]
-                body_2 = solids.body[solid_2]
                 pose_1 = solids.pose[env, solid_1]
                 pose_2 = solids.pose[env, solid_2]
                 first = solid_geometry(geometries, pose_1)
                 second = solid_geometry(geometries, pose_2)
-                place = place_of_solid(state, env, body_1, pose_1)
-                radius = radius_of_solid(body_1, pose_1, first)
-                displacement = relative_displacement(
-                    model, state, env, body_1, body_2, place, radius, double(step[env, 0])
-                )
                 half_space = (second.flags & HALF_SPACE) != 0
                 are_convex = features.is_convex[pose_1.geometry] == 1 and features.is_convex[pose_2.geometry] == 1
-                reach = reach_of_pair(
-                    first, second, are_convex or half_space, wp.max(displacement, setting.margin)
-                )
-                pose = PairPose()
-                near = may_touch(state, env, body_2, pose_2, second, place, radius, reach.margin)
-                if near:
-                    pose = pair_pose(state, env, solids, solid_1, solid_2)
-                    near = is_within_reach(first, second, pose, reach.margin)
+                reach = reach_of_pair(first, second, are_convex or half_space, size, margin)
+                pose = pair_pose(state, env, solids, solid_1, solid_2)
+                near = is_within_reach(first, second, pose, reach.margin)
                 if near:
                     geometry_1 = pose_1.geometry
                     geometry_2 = pose_2.geometry
@@ -457,15 +379,11 @@ def find_manifolds(
             has_lost = wp.where(patches[0].lost_gap <= contact_gap, 1, 0)
             history_out.overflow[env, number] = history_in.overflow[env, number] + has_lost
             is_contact = contact_status == CONTACT
-            body_contacts.status[env, pair] = contact_status
-            body_contacts.depth[env, pair] = real(wp.max(-deepest, double(0.0)))
-            body_contacts.share[env, pair] = real(wp.where(is_contact, share, double(0.0)))
-            body_contacts.normal[env, pair] = from_float64(normal_W)
-            body_contacts.center[env, pair] = from_float64(center_W)
-            # Points have no area.
-            body_contacts.area[env, pair] = not_a_number
-            body_contacts.volume[env, pair] = not_a_number
-            body_contacts.max_pressure[env, pair] = not_a_number
+            write_results(
+                body_contacts, env, pair, contact_status, real(wp.max(-deepest, double(0.0))),
+                real(wp.where(is_contact, share, double(0.0))), from_float64(normal_W), from_float64(center_W),
+            )  # fmt: skip
+            manifold_pairs.results[env, number] = wp.where(is_distant, RESULTS_DISTANT, RESULTS_SEARCHED)
 
     return find_manifolds_of_pairs
 
@@ -487,10 +405,18 @@ def accept_manifolds() -> wp.Kernel:
             number = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
+            before = history.count[env, number]
+            if manifold_pairs.results[env, number] == RESULTS_DISTANT:
+                if before > 0:
+                    history.count[env, number] = 0
+                    for slot in range(manifold_pairs.slot_start[number], manifold_pairs.slot_start[number + 1]):
+                        history.feature_1[env, slot] = 0
+                        history.feature_2[env, slot] = 0
+                        history.is_closed[env, slot] = 0
+                continue
             history.reference[env, number] = history_out.reference[env, number]
             history.overflow[env, number] = history_out.overflow[env, number]
             history.likely[env, number] = history_out.likely[env, number]
-            before = history.count[env, number]
             history.count[env, number] = history_out.count[env, number]
             if before == 0 and history_out.count[env, number] == 0:
                 continue
@@ -525,6 +451,7 @@ def reset_manifolds(real: type) -> wp.Kernel:
         history.reference[env, number] = 0
         history.overflow[env, number] = 0
         history.likely[env, number] = wp.vec4i()
+        manifold_pairs.results[env, number] = RESULTS_UNKNOWN
         history.count[env, number] = 0
         history_out.likely[env, number] = wp.vec4i()
         history_out.count[env, number] = 0

@@ -6,6 +6,9 @@ from typing import NamedTuple
 import warp as wp
 from warpcontact.kernels.types import Struct, structs
 
+#: Origin of the results of a pair: unknown, a distant pair, a search.
+RESULTS_UNKNOWN, RESULTS_DISTANT, RESULTS_SEARCHED = (wp.constant(i) for i in range(3))
+
 
 @wp.struct
 class ManifoldPairs:
@@ -13,6 +16,8 @@ class ManifoldPairs:
 
     item: wp.array(dtype=wp.int32)  # number of the pair in its set
     slot_start: wp.array(dtype=wp.int32)  # [pair + 1] first of the points that it may have
+    # [env, pair] origin of its ``ManifoldPoints`` and ``BodyContacts``: RESULTS_UNKNOWN, …
+    results: wp.array2d(dtype=wp.int32)
 
 
 @wp.struct

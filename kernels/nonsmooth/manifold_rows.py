@@ -12,7 +12,7 @@ from warpcontact.kernels.body_contact.records import SolidPairs, body_contact_st
 from warpcontact.kernels.body_contact.solids import Solids
 from warpcontact.kernels.contact.impulse_records import acting_impulse, record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.manifolds.records import ManifoldHistory, ManifoldPairs, manifold_structs
+from warpcontact.kernels.manifolds.records import RESULTS_UNKNOWN, ManifoldHistory, ManifoldPairs, manifold_structs
 from warpcontact.kernels.nonsmooth.build_rows import add_row
 from warpcontact.kernels.nonsmooth.rows import row_structs
 from warpcontact.kernels.types import (
@@ -214,6 +214,8 @@ def display_manifolds(real: type) -> wp.Kernel:
             if normal_force > zero:
                 ratio = largest * closed / normal_force
                 approach_speed = approach_speed / normal_force
+                # They are not those of a distant pair, which a step would not write again.
+                manifold_pairs.results[env, number] = RESULTS_UNKNOWN
                 body_contacts.normal[env, pair] = wp.normalize(normals)
                 if located > zero:
                     body_contacts.center[env, pair] = center / located

@@ -9,6 +9,7 @@ import warpcontact as wc
 
 SIDE, MASS, MU = 0.2, 8.0, 0.5
 SOLVERS = ["auto", "gauss_seidel", "accelerated"]
+OPEN, CONTACT, DISABLED = wc.ContactStatus.OPEN, wc.ContactStatus.CONTACT, wc.ContactStatus.DISABLED
 
 
 def add_cube(scene, name, side=SIDE, mass=MASS, mesh=False, **motion):
@@ -211,6 +212,40 @@ def test_reset_simulation_repeats_bitwise_identically(device):
         runs.append([model.sensor(key) for key in ("cube.position", "touch.point_force")])
     for first, second in zip(*runs, strict=True):
         np.testing.assert_array_equal(first, second)
+
+
+def test_results_of_solids_that_were_moved_apart_are_those_of_distant_ones(device):
+    """Results of distant pairs are not written again in each step, also if sensors were read in between, and after a reset."""
+    keys = ("status", "depth", "normal", "center", "area", "force", "reference", "point", "point_gap", "overflow")
+    model, distant = (cube_on("box", envs=3, device=device) for _ in range(2))
+    distant["cube.position"] = (0, 0, 1.0)
+    sims = [wc.Simulation(one, dt=1e-3, integrator=moreau_jean()) for one in (model, distant)]
+
+    def move_to(height):
+        state = sims[0].state
+        state.body_position.assign(np.full((3, 1, 3), (0, 0, height)))
+        state.body_linear_velocity.zero_()
+
+    sims[0].step(20)
+    resting = {key: model.sensor(f"touch.{key}") for key in keys}
+    assert (resting["status"] == CONTACT).all()
+    assert (resting["force"][:, 2] > 0).all()
+    move_to(1.0)
+    # Impulses of the last step are shown with the new positions.
+    assert (model.sensor("touch.normal")[:, 2] == 1).all()
+    for sim in sims:
+        sim.step(2)
+    for key in keys:
+        np.testing.assert_array_equal(model.sensor(f"touch.{key}"), distant.sensor(f"touch.{key}"))
+    sims[0].reset([False, True, False])
+    sims[0].step(20)
+    np.testing.assert_array_equal(model.sensor("touch.status"), [OPEN, CONTACT, OPEN])
+    for key in keys:
+        np.testing.assert_array_equal(model.sensor(f"touch.{key}")[1], resting[key][1])
+    model["touch.enabled"] = [0, 0, 1]
+    move_to(SIDE / 2)
+    sims[0].step()
+    np.testing.assert_array_equal(model.sensor("touch.status"), [DISABLED, DISABLED, CONTACT])
 
 
 def test_area_sensors_of_points_are_nan(device):

@@ -75,6 +75,7 @@ class ManifoldSet:
         layout.constant(_PURPOSE, self.pairs, "slot_start", starts, wp.int32)
         self.features = tables.declare_features(layout)
         slots, pairs = per_env(self.slot_count), per_env(self.count)
+        layout.array(_PURPOSE, self.pairs, "results", wp.int32, pairs, transient=True)
         ranges: dict[str, Allowed] = {
             "feature_1": (0, np.iinfo(np.int32).max),
             "feature_2": (0, np.iinfo(np.int32).max),
@@ -116,6 +117,7 @@ class ManifoldSet:
             geometries=one.tables.geometries,
             features=self.features,
             solids=one.tables.solids,
+            boxes=one.tables.boxes,
             pairs=one.pairs,
             settings=one.settings,
             manifold_pairs=self.pairs,
