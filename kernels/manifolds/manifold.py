@@ -53,11 +53,20 @@ from warpcontact.kernels.manifolds.point_matching import (
 )
 from warpcontact.kernels.manifolds.records import (
     RESULTS_DISTANT,
+    RESULTS_REUSED,
     RESULTS_SEARCHED,
-    RESULTS_UNKNOWN,
     ManifoldHistory,
     ManifoldPairs,
+    PairSearch,
     manifold_structs,
+)
+from warpcontact.kernels.manifolds.reuse import (
+    MovedPoint,
+    are_on_faces,
+    gap_gradient,
+    is_reusable,
+    moved_point,
+    roll_radius,
 )
 from warpcontact.kernels.types import (
     CONTACT,
@@ -173,45 +182,121 @@ def find_manifolds(
         return place + to_float64(state.body_position_remainder[env, body])
 
     @wp.func
-    def write_points(
-        state: State,
+    def write_point(
+        center_of_mass: vec3d,
+        pose: PairPose,
+        point: MovedPoint,
+        carries: int,
+        contact_gap: double,
         env: int,
-        body_1: int,
+        slot: int,
+        history_in: ManifoldHistory,
+        history_out: ManifoldHistory,
+        manifold_points: ManifoldPoints,
+    ):
+        """Writes a point to its slot; ``carries``: 1 if the slot has the same point of the last step."""
+        offset = pose.second_axes.rotation * point.position
+        is_closed = wp.where(point.gap <= contact_gap, 1, 0)
+        was_closed = carries * history_in.is_closed[env, slot]
+        history_out.is_closed[env, slot] = is_closed
+        manifold_points.is_present[env, slot] = 1
+        manifold_points.carries[env, slot] = carries
+        manifold_points.is_new[env, slot] = wp.where(is_closed > was_closed, 1, 0)
+        manifold_points.gap[env, slot] = real(point.gap)
+        manifold_points.normal[env, slot] = from_float64(pose.second_axes.rotation * point.normal)
+        manifold_points.arm_1[env, slot] = from_float64(pose.arm_1 + offset)
+        manifold_points.arm_2[env, slot] = from_float64(pose.arm_2 + offset)
+        manifold_points.position[env, slot] = from_float64(center_of_mass + pose.arm_1 + offset)
+
+    @wp.func
+    def write_points(
+        geometries: Geometries,
+        features: Features,
+        first: SolidGeometry,
+        second: SolidGeometry,
+        center_of_mass: vec3d,
         pose: PairPose,
         patches: wp.array(dtype=Patch),
         candidates: wp.array(dtype=Candidate),
         points: wp.array(dtype=ManifoldPoint),
         count: int,
+        are_polyhedra: bool,
         contact_gap: double,
+        env: int,
         history_in: ManifoldHistory,
         history_out: ManifoldHistory,
         manifold_points: ManifoldPoints,
     ):
-        """Writes the points of a pair to their slots."""
-        center_of_mass = place_of(state, env, body_1)
+        """Writes the points of a pair to their slots; returns their smallest gap, infinite without any [m]."""
+        least = double(wp.inf)
         for i in range(count):
             one = candidates[points[i].candidate]
             position = candidate_position(one)
             gap = candidate_gap(one)
             feature = candidate_feature(one)
             slot = points[i].slot
-            offset = pose.second_axes.rotation * position
-            is_closed = wp.where(gap <= contact_gap, 1, 0)
-            was_closed = points[i].is_matched * history_in.is_closed[env, slot]
+            point = MovedPoint()
+            point.position = position
+            point.normal = patches[points[i].patch].normal
+            point.gap = gap
+            least = wp.min(least, gap)
+            gradient = point.normal
+            if are_polyhedra:
+                gradient = gap_gradient(
+                    geometries, features, first, second, pose.first_in_second, feature, point.normal
+                )
             history_out.feature_1[env, slot] = feature.first
             history_out.feature_2[env, slot] = feature.second
             history_out.position[env, slot] = position
-            history_out.is_closed[env, slot] = is_closed
-            manifold_points.is_present[env, slot] = 1
-            manifold_points.carries[env, slot] = points[i].is_matched
-            manifold_points.is_new[env, slot] = wp.where(is_closed > was_closed, 1, 0)
-            manifold_points.gap[env, slot] = real(gap)
-            manifold_points.normal[env, slot] = from_float64(
-                pose.second_axes.rotation * patches[points[i].patch].normal
-            )
-            manifold_points.arm_1[env, slot] = from_float64(pose.arm_1 + offset)
-            manifold_points.arm_2[env, slot] = from_float64(pose.arm_2 + offset)
-            manifold_points.position[env, slot] = from_float64(center_of_mass + pose.arm_1 + offset)
+            history_out.gap[env, slot] = gap
+            history_out.normal[env, slot] = point.normal
+            history_out.gradient[env, slot] = gradient
+            write_point(
+                center_of_mass, pose, point, points[i].is_matched, contact_gap, env, slot, history_in, history_out,
+                manifold_points,
+            )  # fmt: skip
+        return least
+
+    @wp.func
+    def reuse_points(
+        search: PairSearch,
+        center_of_mass: vec3d,
+        pose: PairPose,
+        contact_gap: double,
+        env: int,
+        start: int,
+        end: int,
+        history_in: ManifoldHistory,
+        history_out: ManifoldHistory,
+        manifold_points: ManifoldPoints,
+    ):
+        """Writes the points of an earlier search at the present pose; returns their smallest gap, infinite without any [m]."""
+        least = double(wp.inf)
+        for slot in range(start, end):
+            feature_1 = history_in.feature_1[env, slot]
+            if feature_1 != 0:
+                point = moved_point(
+                    search, pose.first_in_second, history_in.position[env, slot], history_in.normal[env, slot],
+                    history_in.gradient[env, slot], history_in.gap[env, slot], feature_1,
+                )  # fmt: skip
+                least = wp.min(least, point.gap)
+                write_point(
+                    center_of_mass,
+                    pose,
+                    point,
+                    1,
+                    contact_gap,
+                    env,
+                    slot,
+                    history_in,
+                    history_out,
+                    manifold_points,
+                )
+            else:
+                history_out.is_closed[env, slot] = 0
+                if manifold_points.is_present[env, slot] != 0:
+                    clear_points(history_out, manifold_points, env, slot, slot + 1)
+        return least
 
     @unique_kernel()
     def find_manifolds_of_pairs(
@@ -268,36 +353,85 @@ def find_manifolds(
                     continue
             start = manifold_pairs.slot_start[number]
             end = manifold_pairs.slot_start[number + 1]
-            if history_out.count[env, number] > 0:
-                clear_points(history_out, manifold_points, env, start, end)
-            for patch in range(MAX_PATCHES):
-                patches[patch].count = 0
-            patches[0].lost_gap = double(wp.inf)
+            setting = settings[env, pair]
+            pose = PairPose()
+            first = SolidGeometry()
+            second = SolidGeometry()
+            reach = Reach()
+            geometry_1 = wp.int32(0)
+            geometry_2 = wp.int32(0)
+            are_convex = wp.bool(False)
+            is_reused = wp.bool(False)
+            search = PairSearch()
+            if is_enabled and not is_distant:
+                pose_1 = solids.pose[env, solid_1]
+                pose_2 = solids.pose[env, solid_2]
+                geometry_1 = pose_1.geometry
+                geometry_2 = pose_2.geometry
+                first = solid_geometry(geometries, pose_1)
+                second = solid_geometry(geometries, pose_2)
+                half_space = (second.flags & HALF_SPACE) != 0
+                are_convex = features.is_convex[geometry_1] == 1 and features.is_convex[geometry_2] == 1
+                reach = reach_of_pair(first, second, are_convex or half_space, size, margin)
+                pose = pair_pose(state, env, solids, solid_1, solid_2)
+                search = history_in.search[env, number]
+                is_reused = is_reusable(
+                    search,
+                    geometry_1,
+                    geometry_2,
+                    first,
+                    second,
+                    pose.first_in_second,
+                    setting.kappa,
+                    margin,
+                    size,
+                )
+                if not is_reused:
+                    is_distant = not is_within_reach(first, second, pose, reach.margin)
+                    if is_distant and manifold_pairs.results[env, number] == RESULTS_DISTANT:
+                        continue
+                    search = PairSearch()
             contact_status = wp.int32(OPEN)
             reference = history_in.reference[env, number]
             share = double(0.0)
             count = wp.int32(0)
             deepest = double(wp.inf)
-            normal_W = vec3d()
-            center_W = vec3d()
-            if not is_enabled:
-                contact_status = DISABLED
-                reference = NO_REFERENCE
-            elif not is_distant:
-                setting = settings[env, pair]
-                body_1 = solids.body[solid_1]
-                pose_1 = solids.pose[env, solid_1]
-                pose_2 = solids.pose[env, solid_2]
-                first = solid_geometry(geometries, pose_1)
-                second = solid_geometry(geometries, pose_2)
-                half_space = (second.flags & HALF_SPACE) != 0
-                are_convex = features.is_convex[pose_1.geometry] == 1 and features.is_convex[pose_2.geometry] == 1
-                reach = reach_of_pair(first, second, are_convex or half_space, size, margin)
-                pose = pair_pose(state, env, solids, solid_1, solid_2)
-                near = is_within_reach(first, second, pose, reach.margin)
-                if near:
-                    geometry_1 = pose_1.geometry
-                    geometry_2 = pose_2.geometry
+            has_lost = wp.int32(0)
+            center_of_mass = place_of(state, env, solids.body[solid_1])
+            history_out.likely[env, number] = history_in.likely[env, number]
+            if is_reused:
+                count = history_in.count[env, number]
+                share = search.share
+                deepest = -search.excess
+                deepest += reuse_points(
+                    search,
+                    center_of_mass,
+                    pose,
+                    contact_gap,
+                    env,
+                    start,
+                    end,
+                    history_in,
+                    history_out,
+                    manifold_points,
+                )
+                if deepest < -setting.max_depth:
+                    contact_status = WRONG_SIDE
+                    clear_points(history_out, manifold_points, env, start, end)
+                    count = 0
+                    search.is_valid = 0
+                elif deepest <= contact_gap:
+                    contact_status = CONTACT
+            else:
+                if history_out.count[env, number] > 0:
+                    clear_points(history_out, manifold_points, env, start, end)
+                if not is_enabled:
+                    contact_status = DISABLED
+                    reference = NO_REFERENCE
+                elif not is_distant:
+                    for patch in range(MAX_PATCHES):
+                        patches[patch].count = 0
+                    patches[0].lost_gap = double(wp.inf)
                     kind = pair_kind(first, second, are_convex)
                     reference_in = reference
                     reference = NO_REFERENCE
@@ -359,106 +493,56 @@ def find_manifolds(
                         if deepest <= contact_gap:
                             contact_status = CONTACT
                     match_points(candidates, points, count, history_in, env, start, end, reach.size, taken)
-                    write_points(
-                        state, env, body_1, pose, patches, candidates, points, count, contact_gap, history_in,
-                        history_out, manifold_points,
+                    roll = roll_radius(first, second)
+                    least = write_points(
+                        geometries, features, first, second, center_of_mass, pose, patches, candidates, points, count,
+                        roll == double(0.0), contact_gap, env, history_in, history_out, manifold_points,
                     )  # fmt: skip
-                    # Mean of the closed points, until impulses are known.
-                    closed = double(0.0)
-                    for i in range(count):
-                        slot = points[i].slot
-                        if history_out.is_closed[env, slot] == 1:
-                            closed += double(1.0)
-                            center_W += to_float64(manifold_points.position[env, slot])
-                            normal_W += to_float64(manifold_points.normal[env, slot])
-                    if closed > double(0.0):
-                        center_W = center_W / closed
-                        normal_W = wp.normalize(normal_W)
-            history_out.reference[env, number] = reference
+                    has_lost = wp.where(patches[0].lost_gap <= contact_gap, 1, 0)
+                    search.origin = pose.first_in_second.origin
+                    search.rotation = pose.first_in_second.rotation
+                    search.scale_1 = first.scale
+                    search.scale_2 = second.scale
+                    search.margin = margin
+                    search.kappa = setting.kappa
+                    search.share = share
+                    search.roll = roll
+                    search.geometry_1 = geometry_1
+                    search.geometry_2 = geometry_2
+                    is_valid = contact_status != WRONG_SIDE and patches[0].lost_gap == double(wp.inf)
+                    if count > 0:
+                        search.excess = least - deepest
+                        search.normal_on_first = wp.where(share == double(0.0) or roll < double(0.0), 1, 0)
+                        is_known = roll == double(0.0)
+                        if kind == CURVED_ON_HALF_SPACE or kind == CURVED_ON_FACES:  # noqa: SIM109 - Warp has no ``in``
+                            is_known = not wp.isnan(roll) and are_on_faces(patches, candidates)
+                        is_valid = is_valid and is_known
+                    search.is_valid = wp.where(is_valid, 1, 0)
+            # Mean of the closed points, until impulses are known.
+            normal_W = vec3d()
+            center_W = vec3d()
+            closed = double(0.0)
+            if count > 0:
+                for slot in range(start, end):
+                    if history_out.is_closed[env, slot] == 1:
+                        closed += double(1.0)
+                        center_W += to_float64(manifold_points.position[env, slot])
+                        normal_W += to_float64(manifold_points.normal[env, slot])
+                if closed > double(0.0):
+                    center_W = center_W / closed
+                    normal_W = wp.normalize(normal_W)
             history_out.count[env, number] = count
-            has_lost = wp.where(patches[0].lost_gap <= contact_gap, 1, 0)
-            history_out.overflow[env, number] = history_in.overflow[env, number] + has_lost
+            results = wp.int32(RESULTS_REUSED)
+            if search.is_valid == 0 or not is_reused:
+                history_out.reference[env, number] = reference
+                history_out.overflow[env, number] = history_in.overflow[env, number] + has_lost
+                history_out.search[env, number] = search
+                results = wp.where(is_distant, RESULTS_DISTANT, RESULTS_SEARCHED)
             is_contact = contact_status == CONTACT
             write_results(
                 body_contacts, env, pair, contact_status, real(wp.max(-deepest, double(0.0))),
                 real(wp.where(is_contact, share, double(0.0))), from_float64(normal_W), from_float64(center_W),
             )  # fmt: skip
-            manifold_pairs.results[env, number] = wp.where(is_distant, RESULTS_DISTANT, RESULTS_SEARCHED)
+            manifold_pairs.results[env, number] = results
 
     return find_manifolds_of_pairs
-
-
-@functools.cache
-def accept_manifolds() -> wp.Kernel:
-    """Returns the kernel that stores the points of accepted steps; items: nonsmooth pairs."""
-
-    @unique_kernel()
-    def accept_points(
-        launch: LaunchRange,
-        status: wp.array(dtype=wp.int32),
-        manifold_pairs: ManifoldPairs,
-        history_out: ManifoldHistory,
-        history: ManifoldHistory,
-    ):
-        for task in range(wp.tid(), task_count(launch), launch.threads):
-            env = task_env(launch, task)
-            number = task_item(launch, task)
-            if status[env] != ENV_ACTIVE:
-                continue
-            before = history.count[env, number]
-            if manifold_pairs.results[env, number] == RESULTS_DISTANT:
-                if before > 0:
-                    history.count[env, number] = 0
-                    for slot in range(manifold_pairs.slot_start[number], manifold_pairs.slot_start[number + 1]):
-                        history.feature_1[env, slot] = 0
-                        history.feature_2[env, slot] = 0
-                        history.is_closed[env, slot] = 0
-                continue
-            history.reference[env, number] = history_out.reference[env, number]
-            history.overflow[env, number] = history_out.overflow[env, number]
-            history.likely[env, number] = history_out.likely[env, number]
-            history.count[env, number] = history_out.count[env, number]
-            if before == 0 and history_out.count[env, number] == 0:
-                continue
-            for slot in range(manifold_pairs.slot_start[number], manifold_pairs.slot_start[number + 1]):
-                history.feature_1[env, slot] = history_out.feature_1[env, slot]
-                history.feature_2[env, slot] = history_out.feature_2[env, slot]
-                history.position[env, slot] = history_out.position[env, slot]
-                history.is_closed[env, slot] = history_out.is_closed[env, slot]
-
-    return accept_points
-
-
-@functools.cache
-def reset_manifolds(real: type) -> wp.Kernel:
-    """Returns the kernel that removes all points. Launch with dim (env, pair)."""
-    ManifoldPoints = manifold_structs(real).ManifoldPoints
-    clear_points = clear_points_of(real)
-
-    @unique_kernel(runs_rarely=True)
-    def reset_points(
-        mask: wp.array(dtype=wp.bool),
-        manifold_pairs: ManifoldPairs,
-        history: ManifoldHistory,
-        history_out: ManifoldHistory,
-        manifold_points: ManifoldPoints,
-    ):
-        env, number = wp.tid()
-        if not mask[env]:
-            return
-        start = manifold_pairs.slot_start[number]
-        end = manifold_pairs.slot_start[number + 1]
-        history.reference[env, number] = 0
-        history.overflow[env, number] = 0
-        history.likely[env, number] = wp.vec4i()
-        manifold_pairs.results[env, number] = RESULTS_UNKNOWN
-        history.count[env, number] = 0
-        history_out.likely[env, number] = wp.vec4i()
-        history_out.count[env, number] = 0
-        clear_points(history_out, manifold_points, env, start, end)
-        for slot in range(start, end):
-            history.feature_1[env, slot] = 0
-            history.feature_2[env, slot] = 0
-            history.is_closed[env, slot] = 0
-
-    return reset_points

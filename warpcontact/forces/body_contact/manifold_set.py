@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP
 from warpcontact.forces.sensor import Sensor
-from warpcontact.kernels.manifolds import manifold
+from warpcontact.kernels.manifolds import acceptance, manifold
 from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, POINTS
 from warpcontact.kernels.manifolds.records import ManifoldHistory, ManifoldPairs, manifold_structs
 from warpcontact.kernels.nonsmooth import manifold_rows
 from warpcontact.kernels.types import WORLD
 from warpcontact.storage.allocation_plan import per_env
-from warpcontact.storage.state_storage import Allowed
+from warpcontact.storage.state_storage import SWITCH, Allowed
 from warpcontact.system.launches import launch_kernel
 
 if TYPE_CHECKING:
@@ -84,8 +84,12 @@ class ManifoldSet:
             "reference": (-1, np.iinfo(np.int32).max),
             "overflow": (0, np.iinfo(np.int32).max),
             "likely": (np.iinfo(np.int32).min, np.iinfo(np.int32).max),
+            "search.geometry_1": (0, np.iinfo(np.int32).max),
+            "search.geometry_2": (0, np.iinfo(np.int32).max),
+            "search.normal_on_first": SWITCH,
+            "search.is_valid": SWITCH,
         }
-        of_pairs: dict[str, Any] = dict.fromkeys(("count", "reference", "overflow", "likely"), pairs)
+        of_pairs: dict[str, Any] = dict.fromkeys(("count", "reference", "overflow", "likely", "search"), pairs)
         self.history = layout.struct(_PURPOSE, ManifoldHistory, slots, ranges=ranges, **of_pairs)
         self.history_out = layout.struct(_PURPOSE, ManifoldHistory, slots, transient=True, **of_pairs)
         ManifoldPoints = manifold_structs(self.real).ManifoldPoints
@@ -178,7 +182,7 @@ class ManifoldSet:
     def accept_launches(self, plan: "ExecutionPlan") -> list[wp.Launch]:
         """Returns the launch that stores the points of an accepted step."""
         return plan.prepare(
-            manifold.accept_manifolds(),
+            acceptance.accept_manifolds(),
             self.count,
             status=plan.model.arrays.status,
             manifold_pairs=self.pairs,
@@ -189,7 +193,7 @@ class ManifoldSet:
     def reset_state(self, chosen: wp.array) -> None:
         """Removes the points in the environments of the mask ``chosen`` [env]."""
         launch_kernel(
-            manifold.reset_manifolds(self.real),
+            acceptance.reset_manifolds(self.real),
             (len(chosen), self.count),
             device=chosen.device,
             mask=chosen,
