@@ -43,7 +43,7 @@ from warpcontact.kernels.manifolds.curved import add_curved_above, curved_manifo
 from warpcontact.kernels.manifolds.curved_pairs import curved_pair_manifold
 from warpcontact.kernels.manifolds.curved_separation import SUPPORTS, CurvedPair, Support
 from warpcontact.kernels.manifolds.face_clipping import CLIPPED_CORNERS, ClippedCorner
-from warpcontact.kernels.manifolds.features import Features
+from warpcontact.kernels.manifolds.features import Feature, Features
 from warpcontact.kernels.manifolds.meshes import mesh_manifold
 from warpcontact.kernels.manifolds.point_matching import (
     ManifoldPoint,
@@ -64,7 +64,10 @@ from warpcontact.kernels.manifolds.reuse import (
     MovedPoint,
     are_on_faces,
     gap_gradient,
+    is_nearest_point,
     is_reusable,
+    motion_of_nearest,
+    moved_nearest,
     moved_point,
     roll_radius,
 )
@@ -259,6 +262,10 @@ def find_manifolds(
 
     @wp.func
     def reuse_points(
+        geometries: Geometries,
+        features: Features,
+        first: SolidGeometry,
+        second: SolidGeometry,
         search: PairSearch,
         center_of_mass: vec3d,
         pose: PairPose,
@@ -273,12 +280,22 @@ def find_manifolds(
         """Writes the points of an earlier search at the present pose; returns their smallest gap, infinite without any [m]."""
         least = double(wp.inf)
         for slot in range(start, end):
-            feature_1 = history_in.feature_1[env, slot]
-            if feature_1 != 0:
-                point = moved_point(
-                    search, pose.first_in_second, history_in.position[env, slot], history_in.normal[env, slot],
-                    history_in.gradient[env, slot], history_in.gap[env, slot], feature_1,
-                )  # fmt: skip
+            feature = Feature()
+            feature.first = history_in.feature_1[env, slot]
+            feature.second = history_in.feature_2[env, slot]
+            if feature.first != 0:
+                point = MovedPoint()
+                point.position = history_in.position[env, slot]
+                point.normal = history_in.normal[env, slot]
+                point.gap = history_in.gap[env, slot]
+                if search.is_nearest == 1:
+                    if wp.static(has_curved_pairs):
+                        point = moved_nearest(
+                            geometries, features, search, first, second, pose.first_in_second, point, feature
+                        )
+                else:
+                    gradient = history_in.gradient[env, slot]
+                    point = moved_point(search, pose.first_in_second, point, gradient, feature.first)
                 least = wp.min(least, point.gap)
                 write_point(
                     center_of_mass,
@@ -404,6 +421,10 @@ def find_manifolds(
                 share = search.share
                 deepest = -search.excess
                 deepest += reuse_points(
+                    geometries,
+                    features,
+                    first,
+                    second,
                     search,
                     center_of_mass,
                     pose,
@@ -513,9 +534,22 @@ def find_manifolds(
                     if count > 0:
                         search.excess = least - deepest
                         search.normal_on_first = wp.where(share == double(0.0) or roll < double(0.0), 1, 0)
-                        is_known = roll == double(0.0)
+                        is_known = roll == double(0.0) and kind != BOTH_CURVED
                         if kind == CURVED_ON_HALF_SPACE or kind == CURVED_ON_FACES:  # noqa: SIM109 - Warp has no ``in``
                             is_known = not wp.isnan(roll) and are_on_faces(patches, candidates)
+                        if wp.static(has_curved_pairs):
+                            one = candidates[points[0].candidate]
+                            if count == 1 and is_nearest_point(one.feature):
+                                search.is_nearest = 1
+                                nearest = MovedPoint()
+                                nearest.position = one.position
+                                nearest.normal = patches[points[0].patch].normal
+                                nearest.gap = one.gap
+                                motion = motion_of_nearest(
+                                    geometries, features, search, first, second, pose.first_in_second, nearest,
+                                    one.feature,
+                                )  # fmt: skip
+                                is_known = motion.is_known
                         is_valid = is_valid and is_known
                     search.is_valid = wp.where(is_valid, 1, 0)
             # Mean of the closed points, until impulses are known.

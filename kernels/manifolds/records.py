@@ -38,6 +38,7 @@ class PairSearch:
     geometry_1: wp.int32
     geometry_2: wp.int32
     normal_on_first: wp.int32  # 1: normals are fixed to the first solid, not to the second
+    is_nearest: wp.int32  # 1: the only point is between the nearest points of both solids
     is_valid: wp.int32  # 1: the points may be reused
 
 

@@ -5,7 +5,8 @@ the other solid since the last search, not since the last step, or if anything e
 Otherwise their gaps follow to first order from that of the search: a gap changes by g · d, with the displacement d of the first
 solid at the point, relative to the second one. g is the normal for a vertex on a face parallel to it. In general, g is normal to
 both features that touch, with g · n = 1, so that it includes that the point slides along them. Positions follow the
-features that touch; the points of a solid that rolls follow its axis. Normals are fixed to one solid.
+features that touch; the points of a solid that rolls follow its axis. Normals are fixed to one solid. A single point between the
+nearest points of both solids follows the curvature of their surfaces (``nearest_points.py``).
 
 With the displacement d and the size or radius of curvature r, errors of gaps are of the order of d²/r, 10⁻¹⁴ of the size. Where
 an edge cuts a line of a curved solid, g is the normal, and the error is at most d times the slope of the line. Errors of positions
@@ -15,10 +16,18 @@ from step to step.
 
 import warp as wp
 from warpcontact.kernels.body_contact.curved_solids import CAPSULE, CURVED, CYLINDER, ELLIPSOID
-from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
+from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, no_motion
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, largest_extent
 from warpcontact.kernels.manifolds.candidates import CANDIDATES, MAX_PATCHES, Candidate, Patch
-from warpcontact.kernels.manifolds.features import Feature, Features, vertex_feature, vertex_position
+from warpcontact.kernels.manifolds.features import Feature, Features, vertex_feature
+from warpcontact.kernels.manifolds.nearest_points import (
+    EDGE,
+    PLANE,
+    edge_direction,
+    feature_kind,
+    nearest_motion,
+    surface_part,
+)
 from warpcontact.kernels.manifolds.records import PairSearch
 from warpcontact.kernels.manifolds.support_features import NEAREST_POINT
 
@@ -28,16 +37,8 @@ vec3d = wp.vec3d
 #: Largest displacement of a point relative to the size of the smaller solid, up to which the points of a pair are reused.
 REUSE_DISTANCE = 1.0e-7
 LARGEST = wp.constant(double(REUSE_DISTANCE))
-# Kinds of features, in the order of their numbers.
-VERTEX, EDGE, PLANE = (wp.constant(i) for i in range(3))
 # Sine of two edges, and cosine of a feature and the normal, below which the normal is the gradient of a gap.
 NEARLY_PARALLEL = wp.constant(double(1.0e-3))
-
-
-@wp.func
-def feature_kind(feature: int):
-    """Returns the kind of a feature: VERTEX, EDGE or PLANE."""
-    return (feature - 1) % 3
 
 
 @wp.func
@@ -105,13 +106,6 @@ def is_reusable(
 
 
 @wp.func
-def edge_direction(geometries: Geometries, features: Features, feature: int, side: SolidGeometry):
-    """Returns the vector along an edge in the frame of its solid [m]."""
-    ends = features.edge[(feature - 1) // 3]
-    return vertex_position(geometries, ends[1], side) - vertex_position(geometries, ends[0], side)
-
-
-@wp.func
 def gap_gradient(
     geometries: Geometries,
     features: Features,
@@ -133,8 +127,8 @@ def gap_gradient(
     elif kind_2 == PLANE:
         across = geometries.normal[geometries.plane_face[(feature.second - 1) // 3]]
     elif kind_1 == EDGE and kind_2 == EDGE:
-        along_1 = pose.rotation * wp.normalize(edge_direction(geometries, features, feature.first, first))
-        across = wp.cross(along_1, wp.normalize(edge_direction(geometries, features, feature.second, second)))
+        along_1 = pose.rotation * edge_direction(geometries, features, feature.first, first)
+        across = wp.cross(along_1, edge_direction(geometries, features, feature.second, second))
     height = wp.dot(across, normal)
     if wp.abs(height) < NEARLY_PARALLEL:
         return normal
@@ -158,15 +152,21 @@ def roll_radius(first: SolidGeometry, second: SolidGeometry):
 
 
 @wp.func
+def is_nearest_point(feature: Feature):
+    """Returns whether a point is that of the nearest points of both solids."""
+    nearest = vertex_feature(NEAREST_POINT)
+    return feature.first == nearest or feature.second == nearest
+
+
+@wp.func
 def are_on_faces(patches: wp.array(dtype=Patch), candidates: wp.array(dtype=Candidate)):
     """Returns whether the normals of all patches of a polyhedron and a curved solid are those of faces.
 
     Others turn if the solid rolls on an edge; their patches have the nearest points of both solids.
     """
-    nearest = vertex_feature(NEAREST_POINT)
     for patch in range(MAX_PATCHES):
         for i in range(CANDIDATES * patch, CANDIDATES * patch + patches[patch].count):
-            if candidates[i].feature.first == nearest or candidates[i].feature.second == nearest:
+            if is_nearest_point(candidates[i].feature):
                 return False
     return True
 
@@ -181,38 +181,83 @@ class MovedPoint:
 
 
 @wp.func
+def motion_of_nearest(
+    geometries: Geometries,
+    features: Features,
+    search: PairSearch,
+    first: SolidGeometry,
+    second: SolidGeometry,
+    pose: RelativePose,
+    point: MovedPoint,
+    feature: Feature,
+):
+    """Returns the ``NearestMotion`` since a search, in which ``point`` was found between the nearest points of both solids."""
+    before = RelativePose()
+    before.origin = search.origin
+    before.rotation = search.rotation
+    on_first = point.position + ((double(1.0) - search.kappa) * point.gap) * point.normal
+    on_second = point.position - (search.kappa * point.gap) * point.normal
+    part_1 = surface_part(geometries, features, first, before, feature.first, on_first, -point.normal)
+    part_2 = surface_part(geometries, features, second, no_motion(), feature.second, on_second, point.normal)
+    turned = (pose.rotation - search.rotation) * (wp.transpose(search.rotation) * point.normal)
+    displacement = displacement_at(search, pose, on_first)
+    size = largest_extent(first)
+    if largest_extent(second) > double(0.0):
+        size = wp.min(size, largest_extent(second))
+    return nearest_motion(part_1, part_2, point.normal, point.gap, displacement, turned, size)
+
+
+@wp.func
+def moved_nearest(
+    geometries: Geometries,
+    features: Features,
+    search: PairSearch,
+    first: SolidGeometry,
+    second: SolidGeometry,
+    pose: RelativePose,
+    point: MovedPoint,
+    feature: Feature,
+):
+    """Returns the ``MovedPoint`` of ``point``, which a search found between the nearest points of both solids."""
+    motion = motion_of_nearest(geometries, features, search, first, second, pose, point, feature)
+    result = MovedPoint()
+    result.gap = point.gap + wp.dot(point.normal, displacement_at(search, pose, point.position))
+    result.normal = wp.normalize(point.normal + motion.turn)
+    on_second = point.position - (search.kappa * point.gap) * point.normal
+    shift = motion.shift - wp.dot(motion.shift, point.normal) * point.normal
+    result.position = on_second + shift + (search.kappa * result.gap) * result.normal
+    return result
+
+
+@wp.func
 def moved_point(
     search: PairSearch,
     pose: RelativePose,
-    position: vec3d,
-    normal: vec3d,
+    point: MovedPoint,
     gradient: vec3d,
-    gap: double,
     feature_1: int,
 ):
-    """Returns the ``MovedPoint`` of a point that a search found.
+    """Returns the ``MovedPoint`` of ``point``, which a search found on a face.
 
     Args:
         search: The search.
         pose: Present pose of the first solid in the frame of the second one.
-        position: Position of the point at the search [m].
-        normal: Its normal at the search.
+        point: The point at the search.
         gradient: Gradient of its gap.
-        gap: Its gap at the search [m].
         feature_1: Its feature of the first solid.
     """
-    displacement = displacement_at(search, pose, position)
+    displacement = displacement_at(search, pose, point.position)
     result = MovedPoint()
-    result.gap = gap + wp.dot(gradient, displacement)
-    result.normal = normal
+    result.gap = point.gap + wp.dot(gradient, displacement)
+    result.normal = point.normal
     if search.normal_on_first == 1:
-        result.normal = pose.rotation * (wp.transpose(search.rotation) * normal)
+        result.normal = pose.rotation * (wp.transpose(search.rotation) * point.normal)
     # The center of curvature does not turn as a solid rolls. A vertex is fixed to its solid; edges share the displacement.
     shift = (double(1.0) - double(0.5) * double(feature_kind(feature_1))) * displacement
     if search.roll != double(0.0):
-        shift = displacement_at(search, pose, position + search.roll * normal)
+        shift = displacement_at(search, pose, point.position + search.roll * point.normal)
         if search.roll < double(0.0):
             shift = displacement - shift
-    along = search.kappa * (result.gap - gap) - wp.dot(shift, normal)
-    result.position = position + shift + along * normal
+    along = search.kappa * (result.gap - point.gap) - wp.dot(shift, point.normal)
+    result.position = point.position + shift + along * point.normal
     return result

@@ -14,6 +14,11 @@ RADIUS = 0.04
 #: Largest displacement since a search, of all pairs of ``pairs_at_small_gaps``, whose smaller solids have a size of 0.2 m [m].
 DISPLACEMENT = 0.2 * REUSE_DISTANCE
 REUSED, SEARCHED = int(RESULTS_REUSED), int(RESULTS_SEARCHED)
+# Pairs whose only point is between the nearest points of both solids.
+NEAREST = (
+    *("ball_on_ball", "ball_on_ridge", "ridge_on_ball", "log_on_log", "log_on_ridge", "ridge_on_log"),
+    *("corner_on_log", "egg_on_egg", "rim_on_ridge", "tip_on_ball"),
+)
 # Pairs with solids that roll: their points do not turn with the solid.
 ROLLING = ("ball_on_block", "log_on_floor", "log_on_block", "block_on_log")
 
@@ -70,17 +75,61 @@ def pairs_at_small_gaps(envs, device, seed=0):
     add("log_on_block", 60, cylinder, block(60), RADIUS, orientation=lying)
     add("block_on_log", 70, cylinder, block(70), RADIUS, orientation=lying, exchanged=True)
     add("can_on_block", 80, cylinder, block(80), 0.1)
+    # Nearest points of two solids.
+    along_y = (Rotation.from_rotvec([0, 0, np.pi / 2]) * Rotation.from_rotvec([np.pi / 4, 0, 0])).as_quat()
+    top = 0.05 * np.sqrt(2)
+
+    def shape(one):
+        return lambda body, **placement: scene.add_shape(body, one, **placement)
+
+    def ridge_at(x, orientation):
+        return scene.add_shape(None, bar, position=(x, 0, 0), orientation=orientation)
+
+    def log_at(x):
+        position = (x, 0, -RADIUS)
+        return scene.add_shape(None, wc.shapes.Cylinder(RADIUS, 0.1), position=position, orientation=lying)
+
+    ball, cone = shape(wc.shapes.Sphere(0.1)), shape(wc.shapes.Cone(0.1, 0.2))
+    round_below = scene.add_shape(None, wc.shapes.Sphere(0.06), position=(110, 0, -0.06))
+    add("ball_on_ball", 110, ball, round_below, 0.1)
+    add("ball_on_ridge", 120, ball, ridge_at(120, on_edge), 0.1 + top)
+    add("ridge_on_ball", 130, ball, ridge_at(130, on_edge), 0.1 + top, exchanged=True)
+    turned = (Rotation.from_rotvec([0, 0, np.pi / 2]) * Rotation.from_quat(lying)).as_quat()
+    add("log_on_log", 140, cylinder, log_at(140), RADIUS, orientation=turned)
+    add("log_on_ridge", 150, cylinder, ridge_at(150, along_y), RADIUS + top, orientation=lying)
+    add("ridge_on_log", 160, cylinder, ridge_at(160, along_y), RADIUS + top, orientation=lying, exchanged=True)
+    corner = Rotation.align_vectors([[0, 0, -1]], [[1, 1, 1]])[0].as_quat()
+    cube = shape(wc.shapes.RoundedBox((0.1, 0.1, 0.1)))
+    add("corner_on_log", 170, cube, log_at(170), 0.1 * np.sqrt(3), orientation=corner)
+    egg = wc.shapes.Ellipsoid((0.1, 0.08, 0.06))
+    add(
+        "egg_on_egg",
+        180,
+        shape(egg),
+        scene.add_shape(None, egg, position=(180, 0, -0.06), orientation=(0, 0, np.sqrt(0.5), np.sqrt(0.5))),
+        0.06,
+    )
+    tilted = Rotation.from_rotvec([np.pi / 4, 0, 0]).as_quat()
+    lowest = np.sqrt(0.5) * np.array([0.1 - RADIUS, 0.1 + RADIUS])
+    # Its lowest point is below the center of mass.
+    can = {"position": (0, -lowest[0], 0), "orientation": tilted}
+    add("rim_on_ridge", 190, cylinder, ridge_at(190, along_y), lowest[1] + top, **can)
+    upside_down = (1.0, 0.0, 0.0, 0.0)
+    round_below = scene.add_shape(None, wc.shapes.Sphere(0.1), position=(200, 0, -0.1))
+    add("tip_on_ball", 200, cone, round_below, 0.2, orientation=upside_down)
     model = scene.build(envs=envs, device=device, precision="float64")
     rng = np.random.default_rng(seed)
     for name in heights:
         position = np.array(model[f"{name}_body.position"])
-        position[:, :2] += rng.uniform(-0.02, 0.02, size=(envs, 2))
+        # The gap of nearest points grows with the square of the offset.
+        spread = 5e-4 if name in NEAREST else 0.02
+        position[:, :2] += rng.uniform(-spread, spread, size=(envs, 2))
         model[f"{name}_body.position"] = position
         tilts = np.concatenate(
             [rng.uniform(-1e-4, 1e-4, size=(envs, 2)), rng.uniform(-0.5, 0.5, size=(envs, 1))], 1
         )
         model[f"{name}_body.orientation"] = Rotation.from_rotvec(tilts).as_quat()
-        # In each step of 1 ms a fifth of the displacement up to which points are reused.
+        # In each step of 1 ms a tenth of the displacement up to which points are reused, and a turn that adds as much.
         linear = rng.normal(size=(envs, 3))
         model[f"{name}_body.linear_velocity"] = (
             100 * DISPLACEMENT * linear / np.linalg.norm(linear, axis=1, keepdims=True)
@@ -91,10 +140,24 @@ def pairs_at_small_gaps(envs, device, seed=0):
     return model, list(heights)
 
 
+def manifolds_of(model):
+    """The manifolds of a model, which are of one set."""
+    (found,) = [one for one in model.parts[0].force_elements if one.family == "body contact"]
+    return found.active_manifolds
+
+
 def origins_of(model):
     """Origins of the results of the last step, (envs, pairs)."""
-    sets = [one.active_manifolds for one in model.parts[0].force_elements if one.family == "body contact"]
-    return np.concatenate([one.pairs.results.numpy() for one in sets], axis=1)
+    return manifolds_of(model).pairs.results.numpy().copy()
+
+
+def normals_of(model, name):
+    """Normals of the last evaluation of a contact with one point, (envs, 3)."""
+    manifolds = manifolds_of(model)
+    (slots,) = [slots for contact, (_, slots) in manifolds.contacts.items() if contact.name == name]
+    is_present = manifolds.points.is_present.numpy()[:, slots] == 1
+    np.testing.assert_array_equal(is_present.sum(axis=1), 1)
+    return manifolds.points.normal.numpy()[:, slots][is_present]
 
 
 def found_orientation(sim, name):
@@ -160,7 +223,10 @@ def test_points_that_are_reused_are_those_of_a_new_search(device):
             # A line of a cylinder has a slope of up to 10⁻⁴ where it is cut by an edge.
             slides = name in ("log_on_block", "block_on_log")
             assert np.abs(differences).max() < (1e-4 * DISPLACEMENT if slides else DISPLACEMENT**2 / HALF[2])
-            assert np.linalg.norm(offsets, axis=1).max() < 1.2 * DISPLACEMENT
+            limit = 1e-5 * DISPLACEMENT if name in NEAREST else 1.2 * DISPLACEMENT
+            assert np.linalg.norm(offsets, axis=1).max() < limit, name
+            if name in NEAREST:
+                np.testing.assert_allclose(normals_of(model, name), normals_of(search.model, name), atol=1e-12)
             if name in ROLLING:
                 # Across the axis of a cylinder; a ball has none.
                 turns = Rotation.from_quat(found_orientation(sim, name)).as_matrix()
@@ -170,10 +236,10 @@ def test_points_that_are_reused_are_those_of_a_new_search(device):
     origins = np.array(origins)
     assert set(np.unique(origins)) == {REUSED, SEARCHED}
     reused = (origins == REUSED).mean(axis=(0, 1))
-    assert (reused > 0.7).all()
-    # Searched again at least once in five steps, and in the first one.
-    for start in range(0, steps - 5):
-        assert (origins[start : start + 6] == SEARCHED).any(axis=0).all()
+    assert (reused > 0.6).all()
+    # Bodies move by at least a tenth of the displacement in a step.
+    for start in range(steps - 10):
+        assert (origins[start : start + 11] == SEARCHED).any(axis=0).all()
 
 
 def resting_boxes(envs, device, precision="float64"):

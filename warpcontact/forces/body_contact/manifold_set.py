@@ -87,6 +87,7 @@ class ManifoldSet:
             "search.geometry_1": (0, np.iinfo(np.int32).max),
             "search.geometry_2": (0, np.iinfo(np.int32).max),
             "search.normal_on_first": SWITCH,
+            "search.is_nearest": SWITCH,
             "search.is_valid": SWITCH,
         }
         of_pairs: dict[str, Any] = dict.fromkeys(("count", "reference", "overflow", "likely", "search"), pairs)
