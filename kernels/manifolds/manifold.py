@@ -539,15 +539,15 @@ def find_manifolds(
                             is_known = not wp.isnan(roll) and are_on_faces(patches, candidates)
                         if wp.static(has_curved_pairs):
                             one = candidates[points[0].candidate]
-                            if count == 1 and is_nearest_point(one.feature):
+                            if count == 1 and is_nearest_point(candidate_feature(one)):
                                 search.is_nearest = 1
                                 nearest = MovedPoint()
-                                nearest.position = one.position
+                                nearest.position = candidate_position(one)
                                 nearest.normal = patches[points[0].patch].normal
-                                nearest.gap = one.gap
+                                nearest.gap = candidate_gap(one)
                                 motion = motion_of_nearest(
                                     geometries, features, search, first, second, pose.first_in_second, nearest,
-                                    one.feature,
+                                    candidate_feature(one),
                                 )  # fmt: skip
                                 is_known = motion.is_known
                         is_valid = is_valid and is_known
