@@ -75,6 +75,16 @@ class Law(Formula):
             return None
         return values["stiffness"], np.asarray(exponent, dtype=np.float64)
 
+    @classmethod
+    def dashpot(cls, values: dict[str, np.ndarray], mass: np.ndarray) -> np.ndarray | None:
+        """Returns c [N·s/m] of a part c δ̇ that does not vanish at small penetration, for estimates; ``None``: there is none.
+
+        Args:
+            values: Parameters of the law.
+            mass: Effective mass [kg].
+        """
+        return None
+
 
 class Rigid(Law):
     """Contact without compliance, for nonsmooth contact; it has no force function."""

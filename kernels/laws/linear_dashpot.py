@@ -67,6 +67,11 @@ class KelvinVoigt(Law):
         ratio = damping_ratio_of_restitution(values["restitution"]) if "restitution" in values else zero
         return {"stiffness": values["stiffness"], "damping": values.get("damping", zero), "ratio": ratio}
 
+    @classmethod
+    def dashpot(cls, values: dict[str, np.ndarray], mass: np.ndarray) -> np.ndarray:
+        own = cls.coefficients(values)
+        return own["damping"] + 2.0 * own["ratio"] * np.sqrt(own["stiffness"] * mass)
+
     @wp.func
     def force(p: Any, c: Any):
         dashpot = p.damping + type(c.delta)(2.0) * p.ratio * wp.sqrt(p.stiffness * c.mass)
@@ -104,6 +109,11 @@ class Anagnostopoulos(Law):
             "ratio": damping_ratio_of_oscillator(values["restitution"]),
         }
 
+    @classmethod
+    def dashpot(cls, values: dict[str, np.ndarray], mass: np.ndarray) -> np.ndarray:
+        own = cls.coefficients(values)
+        return 2.0 * own["ratio"] * np.sqrt(own["stiffness"] * mass)
+
     @wp.func
     def force(p: Any, c: Any):
         dashpot = type(c.delta)(2.0) * p.ratio * wp.sqrt(p.stiffness * c.mass)
@@ -122,6 +132,10 @@ class HertzDashpot(Law):
 
     stiffness: float = parameter("N/m^1.5", "stiffness K", above=0.0)
     damping: float = parameter("N·s/m", "damping c", at_least=0.0)
+
+    @classmethod
+    def dashpot(cls, values: dict[str, np.ndarray], mass: np.ndarray) -> np.ndarray:
+        return values["damping"]
 
     @wp.func
     def force(p: Any, c: Any):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import warpcontact as wc
 from warpcontact.forces.body_contact.body_sums import sum_warnings
@@ -77,7 +78,7 @@ def test_time_step_is_compared_with_the_largest_side_around_a_curved_shape(form,
     assert f"a contact lasts {duration:.2g} s" in sentence
 
 
-def plate_on_posts(device, *, mesh=False, one_contact=False):
+def plate_on_posts(device, *, mesh=False, one_contact=False, law=None):
     """A plate of 1 m on nine posts; apart from them in the second environment. Returns the model and the side of the plate."""
     scene = wc.Scene()
     body = scene.add_body(
@@ -87,7 +88,7 @@ def plate_on_posts(device, *, mesh=False, one_contact=False):
         plate = scene.add_surface(wc.meshes.box((1.0, 1.0, SIDE)), body)
     else:
         plate = scene.add_shape(body, wc.shapes.RoundedBox((0.5, 0.5, SIDE / 2)))
-    material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=MODULUS))
+    material = wc.ContactMaterial(law=law or wc.laws.ElasticFoundation(stiffness=MODULUS))
     posts = [
         scene.add_shape(None, wc.shapes.RoundedBox((SIDE / 2,) * 3), position=(x, y, -SIDE / 2))
         for x in (-0.4, 0.0, 0.4)
@@ -116,6 +117,22 @@ def test_stiffness_of_the_contacts_of_a_body_adds_up(options, device):
     # Apart from the posts, it has no contact.
     model["plate.position"] = [0, 0, 1.0]
     assert wc.Simulation(model, dt=1.01 * limit).check() == []
+
+
+@pytest.mark.parametrize("factor", [0.99, 1.01])
+def test_damping_of_the_contacts_of_a_body_adds_up(factor, device):
+    """A plate on nine dashpots rocks with the rate λ = 72 (0.4)² c'/m, and steps are unstable for λ dt > 2."""
+    damping = 1e3
+    rate = 72 * 0.4**2 * damping / MASS
+    # In a step, each contact has c' = c (√(1 + y²) − y), y = c dt/(4 m).
+    y = brentq(lambda y: rate * (np.sqrt(1 + y**2) - y) * 4 * MASS * y / damping - 2, 0.0, 1.0)
+    dt = factor * 4 * MASS * y / damping
+    model = plate_on_posts(device, law=wc.laws.KelvinVoigt(stiffness=1.0, damping=damping))
+    found = wc.Simulation(model, dt=dt).check()
+    assert len(found) == (factor > 1)
+    if found:
+        assert "its 9 contacts together" in found[0]
+        assert f"damping is unstable. Use dt ≤ {2 / rate:.2g} s" in found[0]
 
 
 def test_stack_has_no_warning_at_the_time_step_of_a_pair(device):

@@ -46,19 +46,23 @@ def sum_warnings(
         estimates: Estimates of the pairs of all compliant body contacts.
         dt: Time step [s].
     """
-    contacts = _near_contacts(model, tables, estimates)
+    contacts = _near_contacts(model, tables, estimates, dt)
     if not contacts.near.any():
         return []
     normal, tangents = slice(0, 1), slice(1, 3)
     for values, directions, effect, limit in (
         (contacts.stiffness, normal, f"less than {MIN_STEPS:g} steps in half a period", _half_period(MIN_STEPS)),
         (contacts.steep_stiffness, normal, "damping is unstable", _half_period(STABLE_STEPS)),
+        (contacts.stepped_damping, normal, "damping is unstable", lambda rate: 2.0 / rate),
         (contacts.dashpot, tangents, "friction is unstable", lambda rate: 2.0 / rate),
         (contacts.spring, tangents, "friction is unstable", _half_period(STABLE_STEPS)),
     ):
         eigenvalue, body = _largest_eigenvalues(model, contacts, values, directions)
         env = int(np.argmax(eigenvalue))
         if eigenvalue[env] > 0.0 and limit(eigenvalue[env]) < dt:
+            if values is contacts.stepped_damping:
+                # A shorter step reduces the dashpots less.
+                eigenvalue, _ = _largest_eigenvalues(model, contacts, contacts.damping, directions)
             return [_message(model, contacts, body[env], env, effect, limit(eigenvalue[env]), dt)]
     return []
 
@@ -80,6 +84,8 @@ class _NearContacts:
         axes: Normal, and two tangents, world (envs, pairs, 3, 3).
         stiffness: Along the normal [N/m]; 0 if the law has no elastic part.
         steep_stiffness: Likewise, with the slope at the expected speed.
+        damping: Dashpot along the normal at any depth [N·s/m].
+        stepped_damping: Likewise, as laws reduce it for the time step and their own contact.
         dashpot: Along a tangent [N·s/m].
         spring: Along a tangent [N/m].
     """
@@ -91,12 +97,14 @@ class _NearContacts:
     axes: Array
     stiffness: Array
     steep_stiffness: Array
+    damping: Array
+    stepped_damping: Array
     dashpot: Array
     spring: Array
 
 
 def _near_contacts(
-    model: "Environments", tables: "SolidTables", estimates: Sequence[PairEstimates]
+    model: "Environments", tables: "SolidTables", estimates: Sequence[PairEstimates], dt: float
 ) -> _NearContacts:
     pairs = [pair for one in estimates for pair in one.contact.pairs]
     envs = min(model.envs, max(1, MOST_PAIRS // len(pairs)))
@@ -109,7 +117,8 @@ def _near_contacts(
     helper = np.eye(3)[np.argmin(np.abs(normal), axis=2)]
     tangent = np.cross(normal, helper)
     tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
-    columns: dict[str, list[Array]] = {"stiffness": [], "steep": [], "dashpot": [], "spring": []}
+    keys = ("stiffness", "steep", "damping", "stepped", "dashpot", "spring")
+    columns: dict[str, list[Array]] = {key: [] for key in keys}
     start = 0
     for one in estimates:
         count = one.contact.count
@@ -120,6 +129,10 @@ def _near_contacts(
         for key, duration in (("stiffness", one.duration), ("steep", one.steep_duration)):
             linear = zero if duration is None else one.mass[:envs] * (np.pi / duration[:envs]) ** 2 * fraction
             columns[key].append(linear)
+        damping = zero if one.dashpot is None else np.broadcast_to(one.dashpot[:envs], own.shape)
+        share = 0.25 * damping * dt / one.mass[:envs]
+        columns["damping"].append(damping)
+        columns["stepped"].append(damping * (np.sqrt(1.0 + share**2) - share))
         for key, slope in zip(("dashpot", "spring"), one.friction or (zero, zero), strict=True):
             columns[key].append(np.maximum(np.broadcast_to(slope[:envs], own.shape), 0.0))
     joined = {key: np.concatenate(values, axis=1) for key, values in columns.items()}
@@ -131,6 +144,8 @@ def _near_contacts(
         np.stack([normal, tangent, np.cross(normal, tangent)], axis=2),
         joined["stiffness"],
         joined["steep"],
+        joined["damping"],
+        joined["stepped"],
         joined["dashpot"],
         joined["spring"],
     )

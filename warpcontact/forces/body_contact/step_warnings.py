@@ -38,6 +38,7 @@ class PairEstimates:
         turning_mass: Effective mass for a force on a side [kg].
         duration: Duration of an impact at the expected speed [s]; ``None``: the law has no elastic part.
         steep_duration: Likewise, with the slope at the expected speed; ``None``: damping does not grow with the force.
+        dashpot: Dashpot of the law at any depth [N·s/m]; ``None``: there is none.
         friction: Dashpot slope [N·s/m] and spring slope [N/m] of the friction model; ``None``: there is none.
     """
 
@@ -47,6 +48,7 @@ class PairEstimates:
     turning_mass: Array
     duration: Array | None
     steep_duration: Array | None
+    dashpot: Array | None
     friction: tuple[Array, Array] | None
 
 
@@ -85,6 +87,7 @@ def pair_estimates(model: "Environments", contact: "BodyContact", group: "BodyCo
             # N = K δ (1 + χ δ̇): the slope at the expected speed.
             steep = stiffness * (1.0 + values["damping"] * speed)
             steep_duration = contact_time(steep, exponent, mass, speed)
+    dashpot = None if contact.per_area else type(law).dashpot(values, mass)
     kind = contact.material.parts.friction
     slopes = None
     if not issubclass(kind, Frictionless):
@@ -92,7 +95,7 @@ def pair_estimates(model: "Environments", contact: "BodyContact", group: "BodyCo
         load = np.ascontiguousarray(np.broadcast_to(gravity * mass, (model.envs, contact.count)))
         slopes = steepest_slopes(model, kind, _friction(contact), load, np.zeros_like(load))
     turning_mass = 1.0 / np.maximum(turning, MIN_MOBILITY)
-    return PairEstimates(contact, area, mass, turning_mass, duration, steep_duration, slopes)
+    return PairEstimates(contact, area, mass, turning_mass, duration, steep_duration, dashpot, slopes)
 
 
 def pair_warnings(model: "Environments", pairs: PairEstimates, dt: float) -> list[str]:
