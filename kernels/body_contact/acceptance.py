@@ -7,19 +7,24 @@ from warpcontact.kernels.body_contact.patches import PATCH_COUNT
 from warpcontact.kernels.body_contact.records import Patches, body_contact_structs
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.history_variables import memory_struct
-from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs, history_precision
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, LaunchRange, task_count, task_env, task_item
 
 
 @functools.cache
-def patch_acceptance(formula: type[Formula], real: type) -> wp.Function:
+def patch_acceptance(formula: type[Formula], real: type, precision: type) -> wp.Function:
     """Returns the device function that stores the history variables of a law or friction model at one patch.
 
     Its arguments are (is_open, was_open, step, history_out, memory, env, patch): whether the pair is open after the step and was before,
     and the length of the step [s].
+
+    Args:
+        formula: Class of the law or friction model.
+        real: Precision of the model.
+        precision: Scalar type of the history variables.
     """
-    Memory = memory_struct(formula, real)
+    Memory = memory_struct(formula, precision)
 
     @wp.func
     def accept_patch(
@@ -35,10 +40,10 @@ def patch_acceptance(formula: type[Formula], real: type) -> wp.Function:
             memory[env, patch] = history_out[env, patch]
         elif was_open:
             # A patch may slip, and a law advance, over the step in which it begins.
-            memory[env, patch].elapsed = step
+            memory[env, patch].elapsed = precision(step)
         else:
             cleared = Memory()
-            cleared.elapsed = step
+            cleared.elapsed = precision(step)
             memory[env, patch] = cleared
 
     return accept_patch
@@ -48,11 +53,12 @@ def patch_acceptance(formula: type[Formula], real: type) -> wp.Function:
 def accept_contacts(contact_model: ContactModel, real: type) -> wp.Kernel:
     """Returns the kernel that stores entry speeds, patches and the history variables of law and friction; items: pairs."""
     BodyContacts = body_contact_structs(real).BodyContacts
-    _, MaterialHistory = group_structs(contact_model, real)
+    _, MaterialHistory = group_structs(contact_model, real, per_patch=contact_model.acts_per_patch)
     has_patches, has_law_history = contact_model.acts_per_patch, bool(contact_model.law.memories)
     has_friction_history = bool(contact_model.friction.memories)
     accept_law, accept_friction = (
-        patch_acceptance(formula, real) for formula in (contact_model.law, contact_model.friction)
+        patch_acceptance(formula, real, history_precision(part, formula, real, per_patch=True))
+        for part, formula in (("law", contact_model.law), ("friction", contact_model.friction))
     )
 
     @unique_kernel()

@@ -178,7 +178,7 @@ def column_functions(contact_model: ContactModel, real: type, per_area: bool, ha
     t = structs(real)
     vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
-    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    Coefficients, MaterialHistory = group_structs(contact_model, real, per_patch=contact_model.acts_per_patch)
     ContactKinematics = kinematics_structs(real).ContactKinematics
     has_patches, has_law_history = contact_model.acts_per_patch, bool(contact_model.law.memories)
     evaluation = functions(contact_model, real, has_joints, has_friction=not has_patches)

@@ -199,7 +199,7 @@ def pair_columns(contact_model: ContactModel, real: type, per_area: bool, has_jo
     t = structs(real)
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
-    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    Coefficients, MaterialHistory = group_structs(contact_model, real, per_patch=contact_model.acts_per_patch)
     has_patches, has_law_history = contact_model.acts_per_patch, bool(contact_model.law.memories)
     add_column = column_functions(contact_model, real, per_area, has_joints).add_column
 

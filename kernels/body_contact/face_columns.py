@@ -155,7 +155,7 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
     t = structs(real)
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
-    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    Coefficients, MaterialHistory = group_structs(contact_model, real, per_patch=contact_model.acts_per_patch)
     has_patches = contact_model.acts_per_patch
     is_polynomial = contact_model.law.bilinear or bool(contact_model.law.memories)
     # Quadrature is exact for a product of affine functions, and for the depth that stands for the pressure of a law with history.

@@ -83,7 +83,7 @@ def contact_forces(
     t = structs(real)
     Model, State, EndWrenches = t.Model, t.State, t.EndWrenches
     BodyContacts = body_contact_structs(real).BodyContacts
-    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    Coefficients, MaterialHistory = group_structs(contact_model, real, per_patch=contact_model.acts_per_patch)
     has_patches, has_law_history = contact_model.acts_per_patch, bool(contact_model.law.memories)
     second_fraction = contact_model.law.second_fraction
     columns_of_pair = _KINDS[curved_count].pair_columns(contact_model, real, per_area, has_joints)

@@ -35,7 +35,7 @@ def store_function(contact_model: ContactModel, real: type, per_area: bool, has_
     quat, Model, State, EndWrenches = t.quat, t.Model, t.State, t.EndWrenches
     NormalState = t.NormalState
     BodyContacts = body_contact_structs(real).BodyContacts
-    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    Coefficients, MaterialHistory = group_structs(contact_model, real, per_patch=contact_model.acts_per_patch)
     has_patches, has_law_history = contact_model.acts_per_patch, bool(contact_model.law.memories)
     needs_mass = contact_model.law.needs_mass
     evaluation = functions(contact_model, real, has_joints, has_friction=not has_patches)
@@ -186,7 +186,7 @@ def store_function(contact_model: ContactModel, real: type, per_area: bool, has_
                 wrench = friction_of_patch(
                     state, env, pair.body_1, pair.body_2, patch_shape.center, arm_2, patch_shape,
                     coefficients.friction[env, pair.number], history_in.friction, history_out.friction, member,
-                    max_elapsed, dt, axes_of(pair),
+                    max_elapsed, dt, pair.q_WS,
                 )  # fmt: skip
                 friction_W = load_fraction * wrench.force / unscaled
                 torque_W = load_fraction * wrench.torque / unscaled

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import warp as wp
 from warpcontact.kernels.body_contact.records import Patches
 from warpcontact.kernels.catalogue import history_variables
-from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
+from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct, coefficients_in_precision
+from warpcontact.kernels.contact.contact_evaluation import history_precision
 from warpcontact.kernels.frames import functions as frame_functions
 from warpcontact.kernels.types import Struct, structs
 
@@ -257,12 +258,17 @@ class FrictionWrench:
 def functions(friction: type[Formula], real: type) -> Functions:
     """Returns the device functions of the friction of patches with one friction model."""
     t = structs(real)
-    vec3, quat, State, TangentialState = t.vec3, t.quat, t.State, t.TangentialState
+    vec3, State = t.vec3, t.State
     Coefficients: Struct = coefficient_struct(friction, real)
-    Memory = wp.array2d(dtype=history_variables.memory_struct(friction, real))
-    evaluate, _, clear_history = history_variables.functions(friction, real, vectors="any")
-    frame = frame_functions(real)
+    # Precision of the friction model, as that of its history variables.
+    precise = history_precision("friction", friction, real, per_patch=True)
+    precise_quat, TangentialState = structs(precise).quat, structs(precise).TangentialState
+    in_precision = coefficients_in_precision(friction, real, precise)
+    Memory = wp.array2d(dtype=history_variables.memory_struct(friction, precise))
+    evaluate, _, clear = history_variables.functions(friction, precise, vectors="any")
+    frame, precise_frame = frame_functions(real), frame_functions(precise)
     velocity_at, to_float64, from_float64 = frame.velocity_at, frame.to_float64, frame.from_float64
+    precise_vector, precise_to_float64 = precise_frame.from_float64, precise_frame.to_float64
 
     @wp.func
     def angular_velocity(state: State, env: int, body: int):
@@ -285,29 +291,37 @@ def functions(friction: type[Formula], real: type) -> Functions:
         member: int,
         max_elapsed: real,
         dt: real,
-        q_WS: quat,
+        q_WS: wp.quatd,
     ):
         slip = velocity_at(state, env, body_1, from_float64(arm_1)) - velocity_at(
             state, env, body_2, from_float64(arm_2)
         )
         spin = angular_velocity(state, env, body_1) - angular_velocity(state, env, body_2)
-        n_W = from_float64(shape.normal)
-        radius = real(shape.friction_radius)
-        velocity = slip - wp.dot(slip, n_W) * n_W + (radius * wp.dot(spin, n_W)) * n_W
+        n_W = precise_vector(shape.normal)
+        radius = precise(shape.friction_radius)
+        slip_W = precise_vector(to_float64(slip))
+        spin_W = precise_vector(to_float64(spin))
+        velocity = slip_W - wp.dot(slip_W, n_W) * n_W + (radius * wp.dot(spin_W, n_W)) * n_W
         tangential_state = TangentialState()
         tangential_state.normal = n_W
-        tangential_state.normal_force = real(shape.normal_force)
+        tangential_state.normal_force = precise(shape.normal_force)
         tangential_state.velocity = velocity
         tangential_state.speed = wp.length(velocity)
-        force = to_float64(
+        q = precise_quat(precise(q_WS[0]), precise(q_WS[1]), precise(q_WS[2]), precise(q_WS[3]))
+        force = precise_to_float64(
             evaluate(
-                history_in, history_out, env, member, coefficients, tangential_state, max_elapsed, dt, q_WS, n_W
+                history_in, history_out, env, member, in_precision(coefficients), tangential_state,
+                precise(max_elapsed), precise(dt), q, n_W,
             )
-        )
+        )  # fmt: skip
         along = wp.dot(force, shape.normal)
         result = FrictionWrench()
         result.force = force - along * shape.normal
         result.torque = (shape.friction_radius * along) * shape.normal
         return result
+
+    @wp.func
+    def clear_history(history_out: Memory, env: int, member: int, dt: real):
+        clear(history_out, env, member, precise(dt))
 
     return Functions(friction=friction_of_patch, clear_history=clear_history)

@@ -113,7 +113,7 @@ def pressures(contact_model: ContactModel, real: type, per_area: bool, has_joint
     t = structs(real)
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
-    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    Coefficients, MaterialHistory = group_structs(contact_model, real, per_patch=contact_model.acts_per_patch)
     add_column = column_functions(contact_model, real, per_area, has_joints).add_column
     poses = solid_functions.functions(real)
     pair_pose, pose_in_world = poses.pair_pose, poses.pose_in_world

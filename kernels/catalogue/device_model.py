@@ -12,6 +12,7 @@ import ast
 import dataclasses
 import functools
 import inspect
+import linecache
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, dataclass_transform
@@ -459,6 +460,25 @@ def coefficient_struct(formula: type[Formula], real: type) -> Struct:
     types = {(): real, (2,): wp.types.vector(2, real), (3,): structs(real).vec3}
     fields = tuple((name, types.get(shapes.get(name, ()), real)) for name in names)
     return named_struct(f"{formula.__name__}Coefficients", fields)
+
+
+@functools.cache
+def coefficients_in_precision(formula: type[Formula], real: type, precise: type) -> wp.Function:
+    """Returns the device function that converts device coefficients of ``formula`` from one precision to another."""
+    Source, Target = coefficient_struct(formula, real), coefficient_struct(formula, precise)
+    lines = ["def converted(p: Source):", "    q = Target()"]
+    for name, kind in Target.vars.items():
+        length = getattr(kind.type, "_shape_", (0,))[0]
+        lines += [f"    q.{name}[{i}] = precise(p.{name}[{i}])" for i in range(length)]
+        if not length:
+            lines.append(f"    q.{name} = precise(p.{name})")
+    lines.append("    return q")
+    file = f"<coefficients of {Target.key} in {precise.__name__} from {real.__name__}>"
+    # Registered with linecache, where inspect, and so Warp, finds the source of code without a file.
+    linecache.cache[file] = (0, None, [f"{line}\n" for line in lines], file)
+    scope = {"Source": Source, "Target": Target, "precise": precise}
+    exec(compile("\n".join(lines), file, "exec"), scope)
+    return wp.func(scope["converted"])
 
 
 @functools.cache

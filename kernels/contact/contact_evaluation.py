@@ -5,7 +5,6 @@ Used by point contact on meshes, shape contact and particle contact.
 
 import functools
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import warp as wp
@@ -52,14 +51,33 @@ class ContactModel(NamedTuple):
         return self.torsion is not Frictionless
 
 
-def group_structs(contact_model: ContactModel, real: type) -> tuple[Any, Any]:
-    """Returns the structs of arrays [env, contact of the group]: coefficients and history variables."""
+def history_precision(part: str, formula: type[Formula], real: type, per_patch: bool) -> type:
+    """Returns the scalar type of the history variables of a part of a material.
 
-    def struct(name: str, dtype_of: Callable[[type[Formula], type], Any]) -> Struct:
-        elements = [(part, dtype_of(formula, real)) for part, formula in contact_model._asdict().items()]
-        return array_struct(name, tuple(elements))
+    Springs of patches are in float64: the slip of a step of a body at rest is below the rounding of a stretch in float32, and a
+    stretch is rotated in each step, so that bodies would creep.
 
-    return struct("Coefficients", coefficient_struct), struct("MaterialHistory", history_variables.memory_struct)
+    Args:
+        part: Name of the part.
+        formula: Its class.
+        real: Precision of the model.
+        per_patch: Whether friction acts once per patch of a body contact.
+    """
+    return wp.float64 if per_patch and part == "friction" and formula.memories else real
+
+
+def group_structs(contact_model: ContactModel, real: type, per_patch: bool = False) -> tuple[Any, Any]:
+    """Returns the structs of arrays [env, contact of the group]: coefficients and history variables.
+
+    ``per_patch``: as for ``history_precision``.
+    """
+    parts = contact_model._asdict()
+    coefficients = [(part, coefficient_struct(formula, real)) for part, formula in parts.items()]
+    memories = [
+        (part, history_variables.memory_struct(formula, history_precision(part, formula, real, per_patch)))
+        for part, formula in parts.items()
+    ]
+    return array_struct("Coefficients", tuple(coefficients)), array_struct("MaterialHistory", tuple(memories))
 
 
 @functools.cache
@@ -158,7 +176,7 @@ def functions(
         kinematics_structs(real).ContactKinematics,
         kinematics_structs(real).ContactForce,
     )
-    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    Coefficients, MaterialHistory = group_structs(contact_model, real, per_patch=not has_friction)
     LawCoefficients = coefficient_struct(contact_model.law, real)
     LawMemory = wp.array2d(dtype=history_variables.memory_struct(contact_model.law, real))
     law_force, law_start_force, clear_law_history = history_variables.functions(contact_model.law, real)

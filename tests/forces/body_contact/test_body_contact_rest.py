@@ -28,8 +28,6 @@ LONG = [
     pytest.param("half-space", "float32", 60.0, marks=pytest.mark.slow),
 ]
 durations = pytest.mark.parametrize(CASES, SHORT + LONG)
-# In float32, loaded springs of friction creep by up to half of the rounding of their stretch per step: some 1e-7 m/s in an arch.
-durations_of_float64 = pytest.mark.parametrize(CASES, SHORT + LONG[:1])
 
 
 def foundation(stiffness, *, damping=50.0, stick=STICK, mass=1.0, overshoot=0.01, mu=MU):
@@ -216,7 +214,7 @@ def settle(sim, seconds):
             array.assign(values)
 
 
-@durations_of_float64
+@durations
 def test_stacks_of_ten_boxes_rest(floor, precision, seconds, device):
     """Aligned, offset, turned and unequal boxes; see ``scenes.vary_stacks``."""
     # Large boxes, because steps can be longer at the same ratio of depth and size; a soft tower of ten would buckle.
@@ -329,7 +327,7 @@ def test_pyramid_of_five_boxes_rests(floor, precision, seconds, device):
     np.testing.assert_allclose(lower, GRAVITY * 5 / 4, rtol=rounding)
 
 
-@durations_of_float64
+@durations
 def test_arch_of_mesh_wedges_rests(floor, precision, seconds, device):
     """Each end of a half circle of seven wedges carries half of its weight."""
     dt = 3e-4

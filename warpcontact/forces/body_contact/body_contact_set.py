@@ -22,7 +22,7 @@ from warpcontact.kernels.body_contact import acceptance, bounds, force
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT
 from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
-from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs, history_precision
 from warpcontact.kernels.manifolds.candidates import MAX_PATCHES
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.body_contact import BodyContact, reference_share
@@ -136,18 +136,19 @@ class BodyContactSet(ForceElement):
         BodyContacts = body_contact_structs(self.real).BodyContacts
         computed = [name for name in BodyContacts.vars if name != "entry_speed"]
         self.body_contacts = layout.struct(_PURPOSE, BodyContacts, per_env(self.count), transient=computed)
-        Coefficients, Memory = group_structs(self.parts, self.real)
+        Coefficients, Memory = group_structs(self.parts, self.real, per_patch=self.parts.acts_per_patch)
         self.coefficients, self.memory, self.history_out = Coefficients(), Memory(), Memory()
         # History variables of law and friction: one set per patch.
         self.has_patches = self.parts.acts_per_patch
         self.has_law_history = bool(self.parts.law.memories)
         each = per_env(PATCH_COUNT * self.count) if self.has_patches else fixed(1, 1)
         for part, formula in self.parts._asdict().items():
+            precision = history_precision(part, formula, self.real, per_patch=True)
             for target in (self.memory, self.history_out):
                 # A dummy array if the formula has no history variables.
                 shape = each if formula.memories else fixed(1, 1)
                 transient = target is self.history_out or not formula.memories
-                layout.array(_PURPOSE, target, part, memory_struct(formula, self.real), shape, transient=transient)
+                layout.array(_PURPOSE, target, part, memory_struct(formula, precision), shape, transient=transient)
         self.patches, self.patches_out = Patches(), Patches()
         fields = (("normal", wp.vec3d, self.has_patches), ("entry_speed", wp.float64, self.has_law_history))
         for key, kind, is_used in fields:
@@ -254,7 +255,8 @@ class BodyContactSet(ForceElement):
             for part, formula in self.parts._asdict().items():
                 if formula.memories:
                     inputs = [chosen, getattr(self.memory, part)]
-                    wp.launch(reset.memory(formula, self.real), dim=dim, inputs=inputs, device=device)
+                    precision = history_precision(part, formula, self.real, per_patch=True)
+                    wp.launch(reset.memory(formula, precision), dim=dim, inputs=inputs, device=device)
 
     def failures(self) -> dict[str, NDArray[np.int32]]:
         """Returns the number of steps since reset with more patches than room, (envs,) by nonsmooth contact."""
