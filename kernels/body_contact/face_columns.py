@@ -66,6 +66,9 @@ from warpcontact.kernels.types import structs
 vec3d = wp.vec3d
 double = wp.float64
 
+#: Largest number of parts into which edges of polygons of entries are divided.
+MAX_DIVISIONS = 8
+
 
 @wp.struct
 class ColumnSide:
@@ -144,6 +147,42 @@ def depth_beyond_entry(
     return depth + first_crossing(pending, bottom, geometries, side.other, start, direction, True).distance
 
 
+@wp.func
+def divisions_of(corners: wp.array2d(dtype=double), polygon: Polygon, depth: double):
+    """Returns the number of parts of the edges of triangles of a polygon, such that they are at most half as long as ``depth``."""
+    longest = double(0.0)
+    for i in range(polygon.count):
+        edge = corner(corners, polygon, (i + 1) % polygon.count) - corner(corners, polygon, i)
+        longest = wp.max(longest, wp.length_sq(edge))
+    parts = wp.ceil(wp.min(wp.sqrt(longest) / (double(0.5) * depth), double(MAX_DIVISIONS)))
+    return wp.max(wp.int32(parts), 1)
+
+
+@wp.func
+def part_corner(first: vec3d, second: vec3d, third: vec3d, number: int, divisions: int, i: int):
+    """Returns corner ``i`` of part ``number`` of a triangle, whose edges are divided into ``divisions``."""
+    # Row r has 2 r + 1 parts.
+    row = wp.int32(0)
+    while (row + 1) * (row + 1) <= number:
+        row += 1
+    place = number - row * row
+    column = place // 2
+    if place % 2 == 0:
+        # Parts (r, c), (r + 1, c), (r + 1, c + 1)
+        if i > 0:
+            row += 1
+        if i == 2:
+            column += 1
+    else:
+        # Parts (r, c), (r + 1, c + 1), (r, c + 1)
+        if i == 1:
+            row += 1
+        if i > 0:
+            column += 1
+    step = double(1.0) / double(divisions)
+    return first + (double(row) * step) * (second - first) + (double(column) * step) * (third - second)
+
+
 @functools.cache
 def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints: bool) -> wp.Function:
     """Returns the device function that adds the columns on one face of a side.
@@ -208,17 +247,28 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
         in_polygon = PieceSums()
         # Not a constant, so that its loop is not unrolled.
         rule_size = wp.int32(RULE_SIZE)
-        for triangle in range(triangles):
-            edge = triangle
+        # Columns leave through several faces after an entry: the polygon is divided into parts of the size of depths.
+        divisions = wp.int32(1)
+        if is_entry and not side.half_space:
+            divisions = divisions_of(corners, polygon, overlap.depth)
+        for part in range(triangles * divisions * divisions):
+            edge = part // (divisions * divisions)
             if wp.static(is_exact):
                 edge += 1
+            first = center
             corner_1 = corner(corners, polygon, edge)
             corner_2 = corner(corners, polygon, (edge + 1) % polygon.count)
-            area = factor * wp.abs(triangle_area(center, corner_1, corner_2, frame.direction))
+            if divisions > 1:
+                number = part % (divisions * divisions)
+                first = part_corner(center, corner_1, corner_2, number, divisions, 0)
+                next_1 = part_corner(center, corner_1, corner_2, number, divisions, 1)
+                corner_2 = part_corner(center, corner_1, corner_2, number, divisions, 2)
+                corner_1 = next_1
+            area = factor * wp.abs(triangle_area(first, corner_1, corner_2, frame.direction))
             if area == double(0.0):
                 continue
             for sample in range(rule_size):
-                point = quadrature_point(center, corner_1, corner_2, sample)
+                point = quadrature_point(first, corner_1, corner_2, sample)
                 depth = wp.dot(frame.depth_factors, point.position) + frame.depth_offset
                 if is_entry and not side.half_space:
                     # Columns of the next exit do not reach it.

@@ -51,50 +51,113 @@ def subdivide(triangles, size):
     return np.concatenate(centers), np.concatenate(areas), np.concatenate(numbers)
 
 
-def first_hits(origins, directions, triangles, chunk=4_000_000):
-    """Returns distances (N,) of the first crossings of rays with triangles, infinite without, and whether they leave, (N,)."""
-    first, edge_1, edge_2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    normals = np.cross(edge_1, edge_2)
+def first_hits(origins, directions, numbers, triangles):
+    """Returns distances (N,) of the first crossings of rays with triangles, infinite without, and whether they leave, (N,).
+
+    Args:
+        origins: Starts of the rays, (N, 3) [m].
+        directions: Unit vectors, (N, 3). Those with the same number are equal.
+        numbers: Numbers of their directions, (N,).
+        triangles: Vertices (T, 3, 3) [m].
+    """
     distance, leaves = np.full(len(origins), np.inf), np.zeros(len(origins), dtype=bool)
-    step = max(1, chunk // len(triangles))
-    for start in range(0, len(origins), step):
-        o, d = origins[start : start + step, None], directions[start : start + step, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cosine = d @ normals.T
-            cosine = cosine[:, 0]
-            t = np.einsum("ijk,jk->ij", first - o, normals) / cosine
-            offset = o + t[..., None] * d - first
-            # Barycentric coordinates of the crossing.
-            area = np.einsum("jk,jk->j", normals, normals)
-            u = np.einsum("ijk,jk->ij", np.cross(offset, edge_2), normals) / area
-            v = np.einsum("ijk,jk->ij", np.cross(edge_1, offset), normals) / area
-            hit = (t > 0) & (u >= 0) & (v >= 0) & (u + v <= 1)
-        t = np.where(hit, t, np.inf)
-        nearest = t.argmin(axis=1)
-        rows = np.arange(len(t))
-        distance[start : start + step] = t[rows, nearest]
-        leaves[start : start + step] = (cosine[rows, nearest] > 0) & np.isfinite(t[rows, nearest])
+    order = np.argsort(numbers, kind="stable")
+    for own in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
+        direction = directions[own[0]]
+        # Coordinates across the rays, in which they are points.
+        across = np.linalg.svd(direction[None])[2][1:]
+        points, corners = origins[own] @ across.T, triangles @ across.T
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        for part, near in cells(points, low, high):
+            rays = own[part]
+            distance[rays], leaves[rays] = crossings(origins[rays], direction, triangles[near])
     return distance, leaves
 
 
-def distances(points, triangles, chunk=1_000_000):
+def cells(points, low, high, most=64):
+    """Yields numbers of points in small cells, and those of the boxes that overlap each cell.
+
+    Args:
+        points: Points (N, k).
+        low: Lower corners of the boxes, (T, k).
+        high: Upper corners, (T, k).
+        most: Largest number of points in a cell with more than four boxes.
+    """
+    waiting = [(np.arange(len(points)), np.arange(len(low)))]
+    while waiting:
+        part, near = waiting.pop()
+        first, last = points[part].min(axis=0), points[part].max(axis=0)
+        near = near[((low[near] <= last) & (high[near] >= first)).all(axis=1)]
+        if not len(near):
+            continue
+        if len(part) <= most or len(part) * len(near) <= 4 * most:
+            yield part, near
+            continue
+        axis = int(np.argmax(last - first))
+        order = part[np.argsort(points[part, axis], kind="stable")]
+        middle = len(order) // 2
+        waiting += [(order[:middle], near), (order[middle:], near)]
+
+
+def crossings(origins, direction, triangles):
+    """Returns distances (N,) of the first crossings of parallel rays with triangles, and whether they leave, (N,)."""
+    first, edge_1, edge_2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    normals = np.cross(edge_1, edge_2)
+    cosine = normals @ direction
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.einsum("ijk,jk->ij", first - origins[:, None], normals) / cosine
+        offset = origins[:, None] + t[..., None] * direction - first
+        # Barycentric coordinates of the crossing.
+        area = np.einsum("jk,jk->j", normals, normals)
+        u = np.einsum("ijk,jk->ij", np.cross(offset, edge_2), normals) / area
+        v = np.einsum("ijk,jk->ij", np.cross(edge_1, offset), normals) / area
+        hit = (t > 0) & (u >= 0) & (v >= 0) & (u + v <= 1)
+    t = np.where(hit, t, np.inf)
+    nearest = t.argmin(axis=1)
+    distance = t[np.arange(len(t)), nearest]
+    return distance, (cosine[nearest] > 0) & np.isfinite(distance)
+
+
+def largest_distance(points, bounds, triangles):
+    """Returns the largest distance of points from the nearest triangle of each of them.
+
+    Args:
+        points: Points (N, 3) [m].
+        bounds: Upper bounds of the distances, (N,) [m].
+        triangles: Vertices (T, 3, 3) [m].
+    """
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    largest = 0.0
+    order = np.argsort(-bounds, kind="stable")
+    for start in range(0, len(order), 4096):
+        part = order[start : start + 4096]
+        if bounds[part[0]] <= largest:
+            break
+        reach = bounds[part[0]]
+        for own, near in cells(points[part], low - reach, high + reach):
+            rows = part[own]
+            # Only triangles whose bounding boxes are within the bounds of these points.
+            reach = bounds[rows].max()
+            first, last = points[rows].min(axis=0), points[rows].max(axis=0)
+            close = near[((low[near] - reach <= last) & (high[near] + reach >= first)).all(axis=1)]
+            largest = max(largest, distances(points[rows], triangles[close]).max())
+    return float(largest)
+
+
+def distances(points, triangles):
     """Returns the distances (N,) of points from the nearest triangle."""
-    result = np.empty(len(points))
-    step = max(1, chunk // len(triangles))
+    p = points[:, None]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    for start in range(0, len(points), step):
-        p = points[start : start + step, None]
-        height = np.einsum("ijk,jk->ij", p - triangles[:, 0], normals)
-        inside = np.ones(height.shape, dtype=bool)
-        least = np.full(height.shape, np.inf)
-        for i in range(3):
-            a, edge = triangles[:, i], triangles[:, (i + 1) % 3] - triangles[:, i]
-            inside &= np.einsum("ijk,jk->ij", p - a, np.cross(normals, edge)) >= 0
-            along = np.clip(np.einsum("ijk,jk->ij", p - a, edge) / np.einsum("jk,jk->j", edge, edge), 0, 1)
-            least = np.minimum(least, np.linalg.norm(p - a - along[..., None] * edge, axis=2))
-        result[start : start + step] = np.where(inside, np.abs(height), least).min(axis=1)
-    return result
+    height = np.einsum("ijk,jk->ij", p - triangles[:, 0], normals)
+    inside = np.ones(height.shape, dtype=bool)
+    least = np.full(height.shape, np.inf)
+    for i in range(3):
+        a, edge = triangles[:, i], triangles[:, (i + 1) % 3] - triangles[:, i]
+        inside &= np.einsum("ijk,jk->ij", p - a, np.cross(normals, edge)) >= 0
+        along = np.clip(np.einsum("ijk,jk->ij", p - a, edge) / np.einsum("jk,jk->j", edge, edge), 0, 1)
+        least = np.minimum(least, np.linalg.norm(p - a - along[..., None] * edge, axis=2))
+    return np.where(inside, np.abs(height), least).min(axis=1)
 
 
 def body_contact(first, second, size):
@@ -114,11 +177,11 @@ def body_contact(first, second, size):
         points, areas, numbers = subdivide(own[near], size)
         normals = normals[near][numbers]
         close = ((points >= low) & (points <= high)).all(axis=1)
-        points, areas, normals = points[close], areas[close], normals[close]
-        column, inside = first_hits(points, -normals, other)
+        points, areas, normals, numbers = points[close], areas[close], normals[close], numbers[close]
+        column, inside = first_hits(points, -normals, numbers, other)
         points, areas, normals, column = points[inside], areas[inside], normals[inside], column[inside]
         if len(points):
-            depth = max(depth, distances(points, other).max())
+            depth = max(depth, largest_distance(points, column, other))
         deviation.append(areas.sum() - np.linalg.norm((areas[:, None] * normals).sum(axis=0)))
         families.append((points, areas, sign * normals, column))
     share = 0.5 if sum(deviation) <= 0 else deviation[1] / sum(deviation)
