@@ -160,13 +160,14 @@ def distances(points, triangles):
     return np.where(inside, np.abs(height), least).min(axis=1)
 
 
-def body_contact(first, second, size):
+def body_contact(first, second, size, depth_of_weights=None):
     """Returns the ``Reference`` of two closed surfaces, triangles (T, 3, 3) in one frame.
 
     Args:
         first: Triangles of the first body.
         second: Triangles of the second body.
         size: Largest edge of the parts into which triangles are divided [m].
+        depth_of_weights: D in the weights of columns [m]; by default that of the reference.
     """
     families, depth, deviation = [], 0.0, []
     for own, other, sign in ((second, first, 1.0), (first, second, -1.0)):
@@ -186,8 +187,9 @@ def body_contact(first, second, size):
         families.append((points, areas, sign * normals, column))
     share = 0.5 if sum(deviation) <= 0 else deviation[1] / sum(deviation)
     force, torque, scale = np.zeros(3), np.zeros(3), 0.0
+    scale_depth = depth if depth_of_weights is None else depth_of_weights
     for weight, (points, areas, normals, column) in zip((share, 1.0 - share), families, strict=True):
-        x = np.clip((column - 2 * depth) / (2 * depth), 0, 1) if depth else np.zeros_like(column)
+        x = np.clip((column - 2 * scale_depth) / (2 * scale_depth), 0, 1) if scale_depth else np.zeros_like(column)
         forces = (weight * areas * column * (1 - x * x * (3 - 2 * x)))[:, None] * normals
         force += forces.sum(axis=0)
         torque += np.cross(points, forces).sum(axis=0)

@@ -98,7 +98,8 @@ def differences(pair, parts, device):
     surfaces[0] = surfaces[0] + size * position
     found, last = [], None
     for h in parts:
-        reference = body_contact(*surfaces, h * size)
+        # Weights are those of its own D, which is compared too.
+        reference = body_contact(*surfaces, h * size, depth_of_weights=depth)
         if reference.depth == 0.0:
             return None
         moment = reference.torque - np.cross(size * position, reference.force)
