@@ -82,7 +82,7 @@ def axes_across(normal: vec3d):
     return first, second
 
 
-@wp.func
+@wp.func(inline=False)
 def keep_extremes(candidates: wp.array(dtype=Candidate), first: int, count: int, normal: vec3d):
     """Removes candidates that are not extreme in a direction across ``normal``; returns the number of the others."""
     u_axis, v_axis = axes_across(normal)
@@ -114,7 +114,7 @@ def keep_extremes(candidates: wp.array(dtype=Candidate), first: int, count: int,
     return kept
 
 
-@wp.func
+@wp.func(inline=False)
 def add_candidate(
     patches: wp.array(dtype=Patch),
     candidates: wp.array(dtype=Candidate),
@@ -147,7 +147,7 @@ def across(difference: vec3d, normal: vec3d):
     return difference - wp.dot(difference, normal) * normal
 
 
-@wp.func
+@wp.func(inline=False)
 def choose_points(
     patch: Patch, candidates: wp.array(dtype=Candidate), first: int, size: double, chosen: wp.array(dtype=wp.int32)
 ):

@@ -154,7 +154,7 @@ def add_vertices_below(
         leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, first, pose, box)
 
 
-@wp.func
+@wp.func(inline=False)
 def convex_manifold(
     geometries: Geometries,
     features: Features,

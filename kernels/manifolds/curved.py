@@ -409,7 +409,7 @@ def add_all_faces_and_edges(
             leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
 
 
-@wp.func
+@wp.func(inline=False)
 def curved_manifold(
     geometries: Geometries,
     features: Features,

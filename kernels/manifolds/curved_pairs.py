@@ -91,7 +91,7 @@ def are_parallel_ends(first: SupportFeature, second: SupportFeature):
     return wp.length(across(first.center - second.center, second.axis)) < first.radius + second.radius
 
 
-@wp.func
+@wp.func(inline=False)
 def curved_pair_manifold(
     first: SolidGeometry,
     second: SolidGeometry,

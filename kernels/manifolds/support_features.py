@@ -123,7 +123,7 @@ def lowest_line(flags: int, scale: vec3d, direction: vec3d):
     return start - top, start + top
 
 
-@wp.func
+@wp.func(inline=False)
 def support_feature(side: SolidGeometry, pose: RelativePose, direction: vec3d):
     """Returns the feature of a curved solid that is farthest along a direction.
 
@@ -172,7 +172,7 @@ def height_of_end(feature: SupportFeature, normal: vec3d, position: vec3d):
     return wp.dot(feature.axis, feature.center - position) / wp.dot(feature.axis, normal)
 
 
-@wp.func
+@wp.func(inline=False)
 def add_pair_of_points(
     common: CommonNormal,
     on_own: vec3d,
@@ -392,7 +392,7 @@ def add_two_ends(
         add_crossing(common, own, other, crossing, k, patches, candidates)
 
 
-@wp.func
+@wp.func(inline=False)
 def add_common_points(
     common: CommonNormal,
     own: SupportFeature,

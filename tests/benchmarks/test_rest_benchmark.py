@@ -72,7 +72,7 @@ def test_description_of_a_written_stage_is_that_of_the_model(tmp_path, load):
         # Points of a collider in the world; axes of bodies and meshes may differ.
         places = []
         for solid, of in ((one, frames[0]), (other, frames[1])):
-            # Of a plane, only the normal is defined.
+            # A plane defines only its normal.
             points = np.array(solid.get("vertices", np.eye(3)[2:] if solid["kind"] == "plane" else np.eye(3)))
             turn = Rotation.from_quat(solid["orientation"])
             own = turn.apply(points) + solid["position"]
