@@ -189,7 +189,8 @@ def choose_points(
         best_was_point = wp.int32(0)
         for i in range(patch.count):
             was_point = was_point_before(candidates[first + i])
-            limit = wp.where(was_point == 1, largest - PREFERENCE * largest, largest - TIE * largest)
+            # Distances of candidates at the same place are rounding errors.
+            limit = largest - wp.max(wp.where(was_point == 1, PREFERENCE, TIE) * largest, SAME_POINT * size)
             tolerance = wp.where(was_point == 1, SAME_DEPTH, SAME_POINT) * size
             if number == 0 and -candidate_gap(candidates[first + i]) < deepest - tolerance:
                 continue

@@ -18,9 +18,10 @@ zero, one = wp.constant(double(0.0)), wp.constant(double(1.0))
 
 # Kinds of features.
 POINT, LINE, FLAT_END = (wp.constant(i) for i in range(3))
-#: Numbers of the points of a curved solid, which identify them: fixed on a circular edge (from 0; 4 of each flat end), at the ends of
-#: a line, where an edge cuts it, where edges cross a circular edge, and the nearest point of two solids.
-LINE_START, LINE_END, CUT_LINE, CIRCLE_ENTRY, CIRCLE_EXIT, COVERED, NEAREST_POINT = 8, 9, 10, 11, 12, 13, 14
+#: Numbers of the points of a curved solid, which identify them: fixed on a circular edge (from 0; 4 of each flat end), the nearest
+#: point of two solids, at the ends of a line, where an edge cuts it, and where edges cross a circular edge. Of points at the same
+#: place, that with the smallest number remains.
+NEAREST_POINT, LINE_START, LINE_END, CUT_LINE, CIRCLE_ENTRY, CIRCLE_EXIT, COVERED = 8, 9, 10, 11, 12, 13, 14
 #: Number of the point of a flat end that extends farthest over the other one.
 FARTHEST_POINT = 15
 # Cosine of the angle between axis and direction from which on a flat end is turned towards a plane.
