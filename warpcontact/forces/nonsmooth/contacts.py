@@ -202,7 +202,11 @@ class NonsmoothContacts(ForceElement):
             layout.array(PURPOSE, self, "impact_rows", sequence.scratch(t.real), each_row, transient=True)
         solved = {"count": (0, self.capacity), "iterations": COUNT, "converged": SWITCH}
         self.solve_result = layout.struct(
-            PURPOSE, rows.SolveResult, per_env(), transient=("slack", "step", "solved_residual", "was_cleared"), ranges=solved
+            PURPOSE,
+            rows.SolveResult,
+            per_env(),
+            transient=("slack", "step", "solved_residual", "was_cleared"),
+            ranges=solved,
         )
         self.restitution_limit = layout.struct(PURPOSE, records.RestitutionLimit, per_env(), transient=True)
         counts = dict.fromkeys(("step", "failures", "restitution_limited"), COUNT)
