@@ -56,7 +56,7 @@ def corner_height(corner: ClippedCorner):
 
 @wp.func
 def edge_after(corner: ClippedCorner):
-    """Returns the edge from a corner to the next one."""
+    """Returns the number of the edge that follows."""
     return wp.int32(corner[4])
 
 

@@ -201,13 +201,8 @@ class NonsmoothContacts(ForceElement):
         if sequential:
             layout.array(PURPOSE, self, "impact_rows", sequence.scratch(t.real), each_row, transient=True)
         solved = {"count": (0, self.capacity), "iterations": COUNT, "converged": SWITCH}
-        self.solve_result = layout.struct(
-            PURPOSE,
-            rows.SolveResult,
-            per_env(),
-            transient=("slack", "step", "solved_residual", "was_cleared"),
-            ranges=solved,
-        )
+        computed = ("slack", "step", "solved_residual", "was_cleared")
+        self.solve_result = layout.struct(PURPOSE, rows.SolveResult, per_env(), transient=computed, ranges=solved)
         self.restitution_limit = layout.struct(PURPOSE, records.RestitutionLimit, per_env(), transient=True)
         counts = dict.fromkeys(("step", "failures", "restitution_limited"), COUNT)
         self.statistics = layout.struct(
