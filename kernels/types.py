@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import warp as wp
 from warpcontact.kernels.lowlevel.assumptions import assume_nonnegative
+from warpcontact.kernels.lowlevel.warps import lane_count
 
 #: Type of a Warp struct, the result of ``wp.struct``, for which Warp has no public name.
 Struct: TypeAlias = Any
@@ -162,6 +163,19 @@ def task_env(launch: LaunchRange, task: int):
 def task_item(launch: LaunchRange, task: int):
     """Returns the item of a task within its environment."""
     return assume_nonnegative(assume_nonnegative(task) % assume_nonnegative(launch.items))
+
+
+@wp.func
+def task_of_item(launch: LaunchRange, task: int):
+    """Returns the environment and the item of a task, for items that differ more from each other than environments do.
+
+    On a GPU the lanes of a warp have the same item of consecutive environments, so that they diverge less. On a CPU it is
+    the order of ``task_env``.
+    """
+    if lane_count() > 1:
+        envs = task_count(launch) // launch.items
+        return first_env(launch) + task % envs, task // envs
+    return task_env(launch, task), task_item(launch, task)
 
 
 @wp.struct

@@ -45,8 +45,7 @@ from warpcontact.kernels.types import (
     LaunchRange,
     structs,
     task_count,
-    task_env,
-    task_item,
+    task_of_item,
 )
 
 double = wp.float64
@@ -126,8 +125,8 @@ def contact_forces(
         normals = wp.zeros(shape=(PATCH_COUNT, 3), dtype=double)
         patch_rows = wp.zeros(shape=(PATCH_COUNT, sum_count), dtype=double)
         for task in range(wp.tid(), task_count(launch), launch.threads):
-            env = task_env(launch, task)
-            number = first_pair + task_item(launch, task)
+            env, item = task_of_item(launch, task)
+            number = first_pair + item
             if status[env] != ENV_ACTIVE:
                 continue
             setting = settings[env, number]

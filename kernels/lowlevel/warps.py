@@ -1,6 +1,6 @@
-"""Warp intrinsics of a GPU: lane index, ballot, shuffle, scan and bit operations.
+"""Warp intrinsics of a GPU: lane index, ballot, shuffle, scan, reductions and bit operations.
 
-All lanes must reach a ballot, shuffle, scan or ``sync``. On a CPU a warp has one lane, so that kernels written for
+All lanes must reach a ballot, shuffle, scan, reduction or ``sync``. On a CPU a warp has one lane, so that kernels written for
 warps can be tested there.
 """
 
@@ -26,6 +26,12 @@ def _native(on_gpu: str, alone: str) -> str:
 @wp.func_native(_native("return threadIdx.x & 31;", "return 0;"))
 def lane() -> int:
     """Returns the lane index of this thread."""
+    ...
+
+
+@wp.func_native(_native("return 32;", "return 1;"))
+def lane_count() -> int:
+    """Returns the number of lanes of a warp."""
     ...
 
 
@@ -82,6 +88,26 @@ def broadcast_function(real: type) -> wp.Function:
     def broadcast_from(value: real, lane: int) -> real: ...
 
     return broadcast_from
+
+
+@functools.cache
+def reductions(real: type) -> tuple[wp.Function, wp.Function]:
+    """Returns the device functions of the sum and of the largest of the values of all lanes, the same in each lane."""
+    every_lane = """
+    for (int way = 16; way > 0; way /= 2) {{
+        const auto other = __shfl_xor_sync(0xffffffffu, value, way);
+        value = {};
+    }}
+    return value;
+    """
+
+    @wp.func_native(_native(every_lane.format("value + other"), "return value;"))
+    def sum_over_lanes(value: real) -> real: ...
+
+    @wp.func_native(_native(every_lane.format("value < other ? other : value"), "return value;"))
+    def max_over_lanes(value: real) -> real: ...
+
+    return sum_over_lanes, max_over_lanes
 
 
 @wp.func_native(_native("return __popc(bits);", "return __builtin_popcount(bits);"))

@@ -80,8 +80,7 @@ from warpcontact.kernels.types import (
     LaunchRange,
     structs,
     task_count,
-    task_env,
-    task_item,
+    task_of_item,
 )
 
 double = wp.float64
@@ -344,8 +343,7 @@ def find_manifolds(
         pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
         supports = wp.zeros(shape=(SUPPORTS,), dtype=Support)
         for task in range(wp.tid(), task_count(launch), launch.threads):
-            env = task_env(launch, task)
-            number = task_item(launch, task)
+            env, number = task_of_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             pair = manifold_pairs.item[number]

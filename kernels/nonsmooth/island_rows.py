@@ -124,8 +124,8 @@ def functions(real: type, has_joints: bool, rolls: bool, is_soft: bool = False) 
         finite = zero
         for index in range(count):
             row = scratch[env, index].row
-            free, rho, _trace, size = initialize_row(rows, body_response, velocity_change, env, row, tolerance)
-            finite += size
+            data = initialize_row(rows, body_response, velocity_change, env, row, tolerance)
+            finite += data.size
             body_1 = rows[env, row].body_1
             body_2 = rows[env, row].body_2
             scratch[env, index].body_1 = body_1
@@ -136,8 +136,8 @@ def functions(real: type, has_joints: bool, rolls: bool, is_soft: bool = False) 
             scratch[env, index].mu = rows[env, row].mu
             scratch[env, index].is_open = wp.where(rows[env, row].recovery < zero, 1, 0)
             scratch[env, index].impulse = rows[env, row].impulse
-            scratch[env, index].rho = rho
-            scratch[env, index].free = free
+            scratch[env, index].rho = data.rho
+            scratch[env, index].free = data.free
             if wp.static(is_soft):
                 scratch[env, index].softness = rows[env, row].softness
             if wp.static(rolls):

@@ -110,6 +110,8 @@ def velocity_change_struct(real: type) -> type:
         next_member: wp.int32  # next body of its island; -1: none
         next_row: wp.int32  # of the first body of an island: end of its rows in the order of islands
         is_mobile: wp.int32  # 1: impulses move it
+        first_row: wp.int32  # link to its first row in ``accelerated.py``; -1: none
+        is_changed: wp.int32  # 1: ``accelerated.py`` changes impulses on it
 
     return VelocityChange
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import warp as wp
+from warpcontact.kernels.lowlevel.warps import lane, lane_count
 from warpcontact.kernels.nonsmooth import velocity_update
 from warpcontact.kernels.nonsmooth.rows import solve_types
 from warpcontact.kernels.types import structs
@@ -21,7 +22,9 @@ class Functions(NamedTuple):
 
     clear_change: wp.Function  # sets all velocity changes to zero
     separation_speed: wp.Function  # least separation speed of a row after the step [m/s]
-    initialize_row: wp.Function  # applies the warm start of a row; q, ρ, trace of its block, finiteness check
+    evaluate_row: wp.Function  # ``RowData`` of a row before a solve, whose impulse becomes 0 without mobility
+    update_speed_scale: wp.Function  # raises V² of a body to that of a row, given the response of the body
+    initialize_row: wp.Function  # likewise, and applies its warm start
     soft_velocity: wp.Function  # velocity of a row by its own compliance, W [m/s]
     spread_speed_scale: wp.Function  # assigns the same V to all bodies connected by contacts
     residual_scale: wp.Function  # (ρ V)² of a row between two bodies [N²·s²]
@@ -80,19 +83,21 @@ def functions(real: type, has_joints: bool, rolls: bool, is_soft: bool = False) 
             speed = wp.max(rows[env, row].restitution_speed, speed)
         return speed
 
-    @wp.func
-    def initialize_row(
-        rows: Rows,
-        body_response: BodyResponse,
-        velocity_change: VelocityChange,
-        env: int,
-        row: int,
-        tolerance: real,
-    ):
-        """Applies the warm start of a row; returns q, ρ, the trace of its block, and a finiteness check.
+    @wp.struct
+    class RowData:
+        """A row before a solve."""
 
-        The last value is finite if q and the impulse are. Without mobility ρ and the impulse are 0.
-        """
+        free: vec3  # q, W [m/s]
+        rho: real  # effective mass ρ; 0 without mobility [kg]
+        trace: real  # of its block [1/kg]
+        response_1: real  # part of the trace by the first body [1/kg]
+        response_2: real  # likewise by the second body
+        speed_squared: real  # V² of the row alone [m²/s²]
+        size: real  # finite if q and the impulse are
+
+    @wp.func
+    def evaluate_row(rows: Rows, body_response: BodyResponse, env: int, row: int, tolerance: real):
+        """Returns the ``RowData`` of a row. Without mobility its impulse and couple become 0."""
         body_1 = rows[env, row].body_1
         body_2 = rows[env, row].body_2
         arm_1 = rows[env, row].arm_1
@@ -111,8 +116,6 @@ def functions(real: type, has_joints: bool, rolls: bool, is_soft: bool = False) 
             guess_rounding = ROUNDING / (three * tolerance) * trace
             speed_squared = wp.max(speed_squared, guess_rounding * guess_rounding * wp.length_sq(impulse))
         rows[env, row].impulse = impulse
-        turn_1 = wp.cross(arm_1, impulse)
-        turn_2 = wp.cross(arm_2, impulse)
         if wp.static(rolls):
             couple = vec3()
             turning_trace = angular_response_trace(body_response, env, body_1) + angular_response_trace(
@@ -124,12 +127,39 @@ def functions(real: type, has_joints: bool, rolls: bool, is_soft: bool = False) 
                     turning = spin(body_response, env, body_1, body_2)
                     speed_squared = wp.max(speed_squared, trace / turning_trace * wp.length_sq(turning))
             rows[env, row].couple = couple
-            turn_1 += couple
-            turn_2 += couple
+        data = RowData()
+        data.free = free
+        data.rho = rho
+        data.trace = trace
+        data.response_1 = response_1
+        data.response_2 = response_2
+        data.speed_squared = speed_squared
+        data.size = wp.length_sq(free) + wp.length_sq(impulse)
+        return data
+
+    @wp.func
+    def initialize_row(
+        rows: Rows,
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        env: int,
+        row: int,
+        tolerance: real,
+    ):
+        """Applies the warm start of a row, and returns its ``RowData``."""
+        data = evaluate_row(rows, body_response, env, row, tolerance)
+        body_1 = rows[env, row].body_1
+        body_2 = rows[env, row].body_2
+        impulse = rows[env, row].impulse
+        turn_1 = wp.cross(rows[env, row].arm_1, impulse)
+        turn_2 = wp.cross(rows[env, row].arm_2, impulse)
+        if wp.static(rolls):
+            turn_1 += rows[env, row].couple
+            turn_2 += rows[env, row].couple
         apply_impulse_pair(body_response, velocity_change, env, body_1, body_2, impulse, turn_1, -turn_2)
-        update_speed_scale(velocity_change, env, body_1, speed_squared, response_1)
-        update_speed_scale(velocity_change, env, body_2, speed_squared, response_2)
-        return free, rho, trace, wp.length_sq(free) + wp.length_sq(impulse)
+        update_speed_scale(velocity_change, env, body_1, data.speed_squared, data.response_1)
+        update_speed_scale(velocity_change, env, body_2, data.speed_squared, data.response_2)
+        return data
 
     @wp.func
     def soft_velocity(rows: Rows, env: int, row: int, impulse: vec3):
@@ -179,8 +209,8 @@ def functions(real: type, has_joints: bool, rolls: bool, is_soft: bool = False) 
 
     @wp.func
     def apply_change(body_response: BodyResponse, velocity_change: VelocityChange, env: int):
-        """Adds the velocity changes to the velocities."""
-        for body in range(velocity_change.shape[1]):
+        """Adds the velocity changes to the velocities; the lanes of a warp share the bodies."""
+        for body in range(lane(), velocity_change.shape[1], lane_count()):
             body_response[env, body].linear = body_response[env, body].linear + velocity_change[env, body].linear
             body_response[env, body].angular = (
                 body_response[env, body].angular + velocity_change[env, body].angular
@@ -196,6 +226,8 @@ def functions(real: type, has_joints: bool, rolls: bool, is_soft: bool = False) 
     return Functions(
         clear_change=clear_change,
         separation_speed=separation_speed,
+        evaluate_row=evaluate_row,
+        update_speed_scale=update_speed_scale,
         initialize_row=initialize_row,
         soft_velocity=soft_velocity,
         spread_speed_scale=spread_speed_scale,

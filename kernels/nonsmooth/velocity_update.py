@@ -25,7 +25,6 @@ class Functions(NamedTuple):
     apply_impulse: wp.Function  # adds the response of a body to an impulse and an angular impulse
     apply_impulse_pair: wp.Function  # adds the responses of two bodies to opposite impulses
     apply_row_impulse: wp.Function  # adds the responses of the bodies of a row to an impulse at K
-    apply_row_wrench: wp.Function  # adds the responses of the bodies of a row to an impulse at K and a couple
     response_trace: wp.Function  # trace of the block of a body, a measure of its mobility [1/kg]
     angular_response_trace: wp.Function  # trace of the response to angular impulses [1/(kg·m²)]
     impulse_response: wp.Function  # velocity change at an arm by an impulse there [m/s]
@@ -110,24 +109,6 @@ def functions(real: type, has_joints: bool) -> Functions:
     ):
         """Adds the responses of the bodies of a row to an impulse at K, on the first body."""
         turning_1, turning_2 = wp.cross(rows[env, row].arm_1, impulse), -wp.cross(rows[env, row].arm_2, impulse)
-        apply_impulse_pair(
-            body_response, velocity_change, env, rows[env, row].body_1, rows[env, row].body_2, impulse,
-            turning_1, turning_2,
-        )  # fmt: skip
-
-    @wp.func
-    def apply_row_wrench(
-        rows: Rows,
-        body_response: BodyResponse,
-        velocity_change: VelocityChange,
-        env: int,
-        row: int,
-        impulse: vec3,
-        couple: vec3,
-    ):
-        """Adds the responses of the bodies of a row to an impulse at K and a couple, on the first body."""
-        turning_1 = wp.cross(rows[env, row].arm_1, impulse) + couple
-        turning_2 = -wp.cross(rows[env, row].arm_2, impulse) - couple
         apply_impulse_pair(
             body_response, velocity_change, env, rows[env, row].body_1, rows[env, row].body_2, impulse,
             turning_1, turning_2,
@@ -311,7 +292,6 @@ def functions(real: type, has_joints: bool) -> Functions:
         apply_impulse=apply_impulse,
         apply_impulse_pair=apply_impulse_pair,
         apply_row_impulse=apply_row_impulse,
-        apply_row_wrench=apply_row_wrench,
         response_trace=response_trace,
         angular_response_trace=angular_response_trace,
         impulse_response=impulse_response,

@@ -378,7 +378,8 @@ def test_residual_is_reported_if_not_converged(solver):
 @precisions
 def test_tolerance_below_rounding_ends_the_iteration(solver, real):
     result = block(force=20.0).solve(solver, real, tolerance=1e-30, iterations=100000)
-    assert not result.converged
+    # In float32 a residual may be exactly zero.
+    assert result.converged == (result.residual == 0.0)
     assert result.iterations < 2000
     assert result.residual < (1e-14 if real == wp.float64 else 1e-6)
 

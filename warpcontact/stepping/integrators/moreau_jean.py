@@ -13,6 +13,7 @@ import warp as wp
 from warpcontact.forces.execution_plan import ExecutionPlan, StepLength, force_stages
 from warpcontact.forces.nonsmooth.materials import IMPACT_LAWS, check_rigid
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.lowlevel.warps import LANES
 from warpcontact.kernels.nonsmooth import (
     accelerated,
     gauss_seidel,
@@ -256,6 +257,7 @@ class MoreauJean(Integrator):
                 launches += plan.prepare(
                     accelerated.kernel(*kinds, is_start=True),
                     1,
+                    threads=plan.count * LANES,
                     status=status,
                     iterations=min(load_sharing.START_ITERATIONS, self.iterations or ITERATIONS[solvers[0]]),
                     scratch=nonsmooth.scratch["accelerated"],
@@ -266,10 +268,10 @@ class MoreauJean(Integrator):
         )
         for name, option in zip(solvers, options, strict=True):
             iterations = ITERATIONS[name] if self.iterations is None else self.iterations
-            kernel = KERNELS[name].kernel(*kinds, **option)
             launches += plan.prepare(
-                kernel,
+                KERNELS[name].kernel(*kinds, **option),
                 1,
+                threads=plan.count * LANES if name == "accelerated" else None,
                 status=status,
                 iterations=iterations,
                 scratch=nonsmooth.scratch[name],
