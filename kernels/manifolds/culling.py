@@ -7,10 +7,18 @@ written when a pair becomes distant, and not again while it is.
 import functools
 
 import warp as wp
-from warpcontact.kernels.body_contact.records import body_contact_structs
-from warpcontact.kernels.body_contact.surface_queries import BoundingBox, SolidMotion
-from warpcontact.kernels.manifolds.records import ManifoldHistory, manifold_structs
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.body_contact.records import BodyContactSettings, SolidPairs, body_contact_structs
+from warpcontact.kernels.body_contact.surface_queries import BoundingBox, SolidBoxes, SolidMotion
+from warpcontact.kernels.frames import functions as frame_functions
+from warpcontact.kernels.lowlevel.task_lists import TASKS_PER_LANE, TaskList
+from warpcontact.kernels.lowlevel.warps import ballot, lane, lane_count, popcount
+from warpcontact.kernels.manifolds.records import (
+    RESULTS_DISTANT,
+    ManifoldHistory,
+    ManifoldPairs,
+    manifold_structs,
+)
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_count, task_of_item
 
 double = wp.float64
 vec3d = wp.vec3d
@@ -65,6 +73,91 @@ def are_distant(
     half = double(0.5) * (first_box.upper - first_box.lower)
     lowest = wp.dot(second.normal, center) - wp.dot(wp.abs(second.normal), half)
     return lowest - second.offset > margin
+
+
+@wp.struct
+class PairCulling:
+    """Whether a pair may touch, and the lengths on which this depends."""
+
+    needs_results: wp.bool  # no: it is distant as in the last step
+    is_enabled: wp.bool
+    is_distant: wp.bool  # by the boxes around both solids
+    size: double  # of the smaller solid [m]
+    margin: double  # largest gap of a point [m]
+
+
+@functools.cache
+def culling_functions(real: type) -> tuple[wp.Function, wp.Function]:
+    """Returns the device functions of the ``PairCulling`` of a pair, and of the ``TaskList`` of a warp.
+
+    Their arguments are those of the kernel of manifolds, the first one also has the environment and the pair.
+    """
+    Model = structs(real).Model
+    to_float64 = frame_functions(real).to_float64
+
+    @wp.func
+    def cull_pair(
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        boxes: SolidBoxes,
+        pairs: SolidPairs,
+        settings: wp.array2d(dtype=BodyContactSettings),
+        manifold_pairs: ManifoldPairs,
+        env: int,
+        number: int,
+    ):
+        culling = PairCulling()
+        culling.needs_results = status[env] == ENV_ACTIVE
+        if not culling.needs_results:
+            return culling
+        pair = manifold_pairs.item[number]
+        culling.is_enabled = settings[env, pair].enabled != 0
+        if not culling.is_enabled:
+            return culling
+        first = pairs.first[pair]
+        second = pairs.second[pair]
+        motion_1 = boxes.motion[env, first]
+        motion_2 = boxes.motion[env, second]
+        gravity = wp.length(to_float64(model.gravity[env, 0]))
+        culling.size = size_of_pair(motion_1, motion_2)
+        culling.margin = margin_of_pair(
+            motion_1, motion_2, settings[env, pair].margin, double(step[env, 0]), gravity
+        )
+        culling.is_distant = are_distant(
+            boxes.box[env, first], motion_1, boxes.box[env, second], motion_2, culling.margin
+        )
+        if culling.is_distant:
+            culling.needs_results = manifold_pairs.results[env, number] != RESULTS_DISTANT
+        return culling
+
+    @wp.func
+    def near_tasks(
+        thread: int,
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        boxes: SolidBoxes,
+        pairs: SolidPairs,
+        settings: wp.array2d(dtype=BodyContactSettings),
+        manifold_pairs: ManifoldPairs,
+    ):
+        tasks = TaskList()
+        tasks.first = (thread // lane_count()) * lane_count() * TASKS_PER_LANE
+        for part in range(TASKS_PER_LANE):
+            task = tasks.first + part * lane_count() + lane()
+            needs_results = wp.bool(False)
+            if task < task_count(launch):
+                env, number = task_of_item(launch, task)
+                culling = cull_pair(status, model, step, boxes, pairs, settings, manifold_pairs, env, number)
+                needs_results = culling.needs_results
+            lanes = ballot(needs_results)
+            tasks.lanes[part] = lanes
+            tasks.count += popcount(lanes)
+        return tasks
+
+    return cull_pair, near_tasks
 
 
 @functools.cache

@@ -19,7 +19,9 @@ from warpcontact.kernels.body_contact.solids import (
 )
 from warpcontact.kernels.body_contact.surface_queries import SolidBoxes, SolidGeometry, are_apart, solid_geometry
 from warpcontact.kernels.frames import functions as frame_functions
+from warpcontact.kernels.lowlevel.task_lists import TaskList, listed_task
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.lowlevel.warps import lane, lane_count
 from warpcontact.kernels.manifolds.candidates import (
     CANDIDATES,
     MAX_PATCHES,
@@ -32,13 +34,7 @@ from warpcontact.kernels.manifolds.candidates import (
 )
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex import NO_REFERENCE, add_vertices_below, convex_manifold
-from warpcontact.kernels.manifolds.culling import (
-    are_distant,
-    clear_points_of,
-    margin_of_pair,
-    size_of_pair,
-    write_results_of,
-)
+from warpcontact.kernels.manifolds.culling import clear_points_of, culling_functions, write_results_of
 from warpcontact.kernels.manifolds.curved import add_curved_above, curved_manifold
 from warpcontact.kernels.manifolds.curved_pairs import curved_pair_manifold
 from warpcontact.kernels.manifolds.curved_separation import SUPPORTS, CurvedPair, Support
@@ -74,7 +70,6 @@ from warpcontact.kernels.manifolds.reuse import (
 from warpcontact.kernels.types import (
     CONTACT,
     DISABLED,
-    ENV_ACTIVE,
     OPEN,
     WRONG_SIDE,
     LaunchRange,
@@ -171,6 +166,7 @@ def find_manifolds(
     BodyContacts = body_contact_structs(real).BodyContacts
     ManifoldPoints = manifold_structs(real).ManifoldPoints
     clear_points, write_results = clear_points_of(real), write_results_of(real)
+    cull_pair, near_tasks = culling_functions(real)
     pair_pose = solid_functions.functions(real).pair_pose
     frame = frame_functions(real)
     to_float64, from_float64 = frame.to_float64, frame.from_float64
@@ -342,30 +338,26 @@ def find_manifolds(
         taken = wp.zeros(shape=(MAX_POINTS,), dtype=wp.int32)
         pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
         supports = wp.zeros(shape=(SUPPORTS,), dtype=Support)
-        for task in range(wp.tid(), task_count(launch), launch.threads):
+        tasks = TaskList()
+        count_of_tasks = task_count(launch)
+        if lane_count() > 1:
+            tasks = near_tasks(wp.tid(), launch, status, model, step, boxes, pairs, settings, manifold_pairs)
+            count_of_tasks = tasks.count
+        for index in range(lane(), count_of_tasks, lane_count()):
+            task = index
+            if lane_count() > 1:
+                task = listed_task(tasks, index)
             env, number = task_of_item(launch, task)
-            if status[env] != ENV_ACTIVE:
+            culling = cull_pair(status, model, step, boxes, pairs, settings, manifold_pairs, env, number)
+            if not culling.needs_results:
                 continue
             pair = manifold_pairs.item[number]
             solid_1 = pairs.first[pair]
             solid_2 = pairs.second[pair]
-            is_enabled = settings[env, pair].enabled != 0
-            size = double(0.0)
-            margin = double(0.0)
-            is_distant = wp.bool(False)
-            if is_enabled:
-                motion_1 = boxes.motion[env, solid_1]
-                motion_2 = boxes.motion[env, solid_2]
-                gravity = wp.length(to_float64(model.gravity[env, 0]))
-                size = size_of_pair(motion_1, motion_2)
-                margin = margin_of_pair(
-                    motion_1, motion_2, settings[env, pair].margin, double(step[env, 0]), gravity
-                )
-                is_distant = are_distant(
-                    boxes.box[env, solid_1], motion_1, boxes.box[env, solid_2], motion_2, margin
-                )
-                if is_distant and manifold_pairs.results[env, number] == RESULTS_DISTANT:
-                    continue
+            is_enabled = culling.is_enabled
+            is_distant = culling.is_distant
+            size = culling.size
+            margin = culling.margin
             start = manifold_pairs.slot_start[number]
             end = manifold_pairs.slot_start[number + 1]
             setting = settings[env, pair]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP
 from warpcontact.forces.sensor import Sensor
+from warpcontact.kernels.lowlevel import task_lists
 from warpcontact.kernels.manifolds import acceptance, manifold
 from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, POINTS
 from warpcontact.kernels.manifolds.records import ManifoldHistory, ManifoldPairs, manifold_structs
@@ -115,6 +116,7 @@ class ManifoldSet:
         return plan.prepare(
             manifold.find_manifolds(self.real, *self._kinds),
             self.count,
+            threads=task_lists.thread_count(plan.count * self.count),
             status=status,
             model=plan.model.arrays.model,
             state=state,

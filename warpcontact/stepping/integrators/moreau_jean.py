@@ -38,6 +38,8 @@ KERNELS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
 SOLVERS = {"auto": tuple(KERNELS), **{name: (name,) for name in KERNELS}}
 #: Default maximum number of iterations per step.
 ITERATIONS = {"gauss_seidel": 200, "accelerated": 2000}
+#: Largest number of Gauss–Seidel sweeps on a GPU before ``accelerated`` takes over, whose iterations are parallel there.
+SWEEPS_GPU = 20
 #: Default tolerance of the relative residual, by precision.
 TOLERANCES = {wp.float32: 1.0e-5, wp.float64: 1.0e-8}
 #: Half width, as a fraction of the step, of the difference that gives velocities of prescribed motions.
@@ -268,6 +270,8 @@ class MoreauJean(Integrator):
         )
         for name, option in zip(solvers, options, strict=True):
             iterations = ITERATIONS[name] if self.iterations is None else self.iterations
+            if "has_fallback" in option and plan.model.device.is_cuda:
+                iterations = min(iterations, SWEEPS_GPU)
             launches += plan.prepare(
                 KERNELS[name].kernel(*kinds, **option),
                 1,
