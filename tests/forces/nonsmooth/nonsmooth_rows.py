@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
+from warpcontact.kernels.lowlevel.warps import LANES
 from warpcontact.kernels.nonsmooth import accelerated, gauss_seidel
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs, velocity_change_struct
 from warpcontact.kernels.types import WORLD, LaunchRange
@@ -225,7 +226,9 @@ def launch(solver, arrays, real, has_joints, rolls, tolerance, iterations, statu
     kernel = module.kernel(real, has_joints, rolls, **options)
     launch = LaunchRange()
     launch.envs, launch.items = len(status), 1
-    launch.threads = launch.envs if wp.get_device(DEVICE).is_cuda else 1
+    # Lanes of a warp share an environment in the accelerated solver.
+    lanes = LANES if solver == "accelerated" else 1
+    launch.threads = launch.envs * lanes if wp.get_device(DEVICE).is_cuda else 1
     states = wp.array(np.asarray(status, np.int32), device=DEVICE)
     inputs = [launch, states, rows, moving, outcome, real(tolerance), iterations, scratch, change]
     wp.launch(kernel, launch.threads, inputs, device=DEVICE)
