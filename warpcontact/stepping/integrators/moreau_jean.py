@@ -79,7 +79,8 @@ class MoreauJean(Integrator):
         theta: θ in [½, 1]. θ = ½ conserves energy between impacts.
         solver: ``"gauss_seidel"``: one contact after the other. ``"accelerated"``: all contacts simultaneously, by
             projected gradients with momentum, for heavy bodies on light ones and statically indeterminate supports.
-            ``"auto"``: the first, then the second for sets of bodies in contact where the first did not converge. If two
+            ``"auto"``: the first, then the second for sets of bodies in contact where the first did not converge (on a
+            GPU, in 20 sweeps). If two
             bodies have several contacts and these or their load have changed, accelerated steps from zero come first, so
             that all contacts share the load.
         iterations: Maximum number of iterations per step. Default: 200 (``"gauss_seidel"``), 2000
