@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
 from warpcontact.forces.body_contact.body_sums import sum_warnings
 from warpcontact.forces.body_contact.step_warnings import pair_estimates
 
 MASS, SIDE, MODULUS = 2.0, 0.1, 1e7
+TURN = (0.5, -0.4, 0.3)
 
 
 def box_on_box(device, friction=None, **law):
@@ -78,11 +80,17 @@ def test_time_step_is_compared_with_the_largest_side_around_a_curved_shape(form,
     assert f"a contact lasts {duration:.2g} s" in sentence
 
 
-def plate_on_posts(device, *, mesh=False, one_contact=False, law=None):
-    """A plate of 1 m on nine posts; apart from them in the second environment. Returns the model and the side of the plate."""
+def plate_on_posts(device, *, mesh=False, one_contact=False, law=None, turn=(0.0, 0.0, 0.0)):
+    """A plate of 1 m on nine posts; apart from them in the second environment. ``turn`` is the rotation vector of all of them [rad]."""
     scene = wc.Scene()
+    turn = Rotation.from_rotvec(turn)
+    pose = {"orientation": turn.as_quat()}
     body = scene.add_body(
-        mass=MASS, inertia=np.array([1, 1, 2]) * MASS / 12, position=(0, 0, SIDE / 2), name="plate"
+        mass=MASS,
+        inertia=np.array([1, 1, 2]) * MASS / 12,
+        position=turn.apply((0, 0, SIDE / 2)),
+        name="plate",
+        **pose,
     )
     if mesh:
         plate = scene.add_surface(wc.meshes.box((1.0, 1.0, SIDE)), body)
@@ -90,7 +98,9 @@ def plate_on_posts(device, *, mesh=False, one_contact=False, law=None):
         plate = scene.add_shape(body, wc.shapes.RoundedBox((0.5, 0.5, SIDE / 2)))
     material = wc.ContactMaterial(law=law or wc.laws.ElasticFoundation(stiffness=MODULUS))
     posts = [
-        scene.add_shape(None, wc.shapes.RoundedBox((SIDE / 2,) * 3), position=(x, y, -SIDE / 2))
+        scene.add_shape(
+            None, wc.shapes.RoundedBox((SIDE / 2,) * 3), position=turn.apply((x, y, -SIDE / 2)), **pose
+        )
         for x in (-0.4, 0.0, 0.4)
         for y in (-0.4, 0.0, 0.4)
     ]
@@ -100,11 +110,13 @@ def plate_on_posts(device, *, mesh=False, one_contact=False, law=None):
         for i, post in enumerate(posts):
             scene.add_body_contact(plate, post, material, name=f"on_{i}")
     model = scene.build(envs=2, device=device, precision="float64")
-    model["plate.position"] = [[0, 0, SIDE / 2], [0, 0, 1.0]]
+    model["plate.position"] = turn.apply([[0, 0, SIDE / 2], [0, 0, 1.0]])
     return model
 
 
-@pytest.mark.parametrize("options", [{}, {"mesh": True}, {"one_contact": True}])
+@pytest.mark.parametrize(
+    "options", [{}, {"mesh": True}, {"one_contact": True}, {"turn": TURN}, {"turn": TURN, "mesh": True}]
+)
 def test_stiffness_of_the_contacts_of_a_body_adds_up(options, device):
     """A plate on nine springs rocks with λ = 6 k a²/I = 72 (0.4)² k/m, and heaves with 9 k/m."""
     limit = np.pi / np.sqrt(72 * 0.4**2 * MODULUS * SIDE**2 / MASS) / 10
@@ -114,9 +126,12 @@ def test_stiffness_of_the_contacts_of_a_body_adds_up(options, device):
     assert sentence.startswith(f"plate: dt = {1.01 * limit:g} s is too long for its 9 contacts together (")
     assert "in environment 0" in sentence
     assert f"Use dt ≤ {limit:.2g} s" in sentence
-    # Apart from the posts, it has no contact.
-    model["plate.position"] = [0, 0, 1.0]
-    assert wc.Simulation(model, dt=1.01 * limit).check() == []
+    # Apart from the posts, it has no contact, also where boxes along the axes of the world overlap.
+    for gap in (0.01 * SIDE, 1.0):
+        model["plate.position"] = Rotation.from_rotvec(options.get("turn", (0, 0, 0))).apply(
+            [0, 0, SIDE / 2 + gap]
+        )
+        assert wc.Simulation(model, dt=1.01 * limit).check() == []
 
 
 @pytest.mark.parametrize("factor", [0.99, 1.01])
@@ -133,6 +148,22 @@ def test_damping_of_the_contacts_of_a_body_adds_up(factor, device):
     if found:
         assert "its 9 contacts together" in found[0]
         assert f"damping is unstable. Use dt ≤ {2 / rate:.2g} s" in found[0]
+
+
+@pytest.mark.parametrize("steps", [8.0, 20.0])
+def test_recommended_time_step_satisfies_all_limits(steps, device):
+    """Damping is stable up to 1/``steps`` of half a period, of which ten steps are recommended."""
+    square = 72 * 0.4**2 / MASS  # of the frequency per stiffness of a contact, and rate per damping
+    stiffness = 1e5
+    half_period = np.pi / np.sqrt(square * stiffness)
+    damping = 2 / square / (half_period / steps)
+    model = plate_on_posts(device, law=wc.laws.KelvinVoigt(stiffness=stiffness, damping=damping))
+    # Long enough for each contact alone: it has 20 steps in π √(m/k).
+    (sentence,) = wc.Simulation(model, dt=0.16 * half_period).check()
+    limit = half_period / max(steps, 10.0)
+    assert ("damping is unstable" in sentence) == (steps > 10)
+    assert f"Use dt ≤ {limit:.2g} s" in sentence
+    assert wc.Simulation(model, dt=0.99 * limit).check() == []
 
 
 def test_stack_has_no_warning_at_the_time_step_of_a_pair(device):

@@ -29,6 +29,8 @@ MOST_PAIRS = 5000
 MIN_STEPS = 10.0
 # Distance of bounding boxes in contact, relative to the size of the smaller one.
 _NEAR = 1.0e-3
+# Sine of the angle of two edges below which they count as parallel.
+_PARALLEL = 1.0e-6
 # Number of contacts that a message names.
 _NAMED = 4
 # Largest number of steps of power iteration, and relative change of the eigenvalue in a step at which it ends.
@@ -38,7 +40,7 @@ _ITERATIONS, _CHANGE = 200, 1.0e-4
 def sum_warnings(
     model: "Environments", tables: "SolidTables", estimates: Sequence[PairEstimates], dt: float
 ) -> list[str]:
-    """Returns the warning about a time step that is too long for the contacts of a body together.
+    """Returns the warning about a time step that is too long for the contacts of a body together: the one with the shortest limit.
 
     Args:
         model: The model. The current poses decide which solids are in contact.
@@ -50,6 +52,7 @@ def sum_warnings(
     if not contacts.near.any():
         return []
     normal, tangents = slice(0, 1), slice(1, 3)
+    shortest, sentence = dt, ""
     for values, directions, effect, limit in (
         (contacts.stiffness, normal, f"less than {MIN_STEPS:g} steps in half a period", _half_period(MIN_STEPS)),
         (contacts.steep_stiffness, normal, "damping is unstable", _half_period(STABLE_STEPS)),
@@ -63,8 +66,10 @@ def sum_warnings(
             if values is contacts.stepped_damping:
                 # A shorter step reduces the dashpots less.
                 eigenvalue, _ = _largest_eigenvalues(model, contacts, contacts.damping, directions)
-            return [_message(model, contacts, body[env], env, effect, limit(eigenvalue[env]), dt)]
-    return []
+            longest = limit(eigenvalue[env])
+            if longest < shortest:
+                shortest, sentence = longest, _message(model, contacts, body[env], env, effect, longest, dt)
+    return [sentence] if sentence else []
 
 
 def _half_period(steps: float) -> Callable[[float], float]:
@@ -193,23 +198,56 @@ def _touch(
     sides = np.sort(boxes.half, axis=2)
     size = 2.0 * np.minimum(sides[:, first, 2], sides[:, second, 2])
     half_space = np.isinf(sides[:, second, 0])
-    extents = (np.abs(boxes.axes) * np.where(np.isinf(boxes.half), 0.0, boxes.half)[..., None]).sum(axis=2)
-    low, high = boxes.center - extents, boxes.center + extents
-    lower, upper = np.maximum(low[:, first], low[:, second]), np.minimum(high[:, first], high[:, second])
-    overlap = upper - lower
-    across = np.sort(np.maximum(overlap, 0.0), axis=2)
+    distance, axis, is_of_second = _separation(boxes, first, second)
+    # The common part of both boxes in the axes of the one with the face.
+    owner, other = np.where(is_of_second, second, first), np.where(is_of_second, first, second)
+    envs = np.arange(len(boxes.half))[:, None]
+    half = np.where(np.isinf(boxes.half), 0.0, boxes.half)
+    frame = boxes.axes[envs, owner]
+    extents = np.einsum(
+        "epac,epc->epa", np.abs(np.einsum("epak,epck->epac", frame, boxes.axes[envs, other])), half[envs, other]
+    )
+    offset = np.einsum("epak,epk->epa", frame, boxes.center[envs, other] - boxes.center[envs, owner])
+    lower = np.maximum(offset - extents, -half[envs, owner])
+    upper = np.minimum(offset + extents, half[envs, owner])
+    across = np.sort(np.maximum(upper - lower, 0.0), axis=2)
+    common = boxes.center[envs, owner] + np.einsum("epa,epak->epk", 0.5 * (lower + upper), frame)
     # Half-spaces: the lowest point, and the largest side.
     plane_normal = boxes.axes[:, second, 2]
     along = np.abs(np.einsum("epki,epi->epk", boxes.axes[:, first], plane_normal))
     support = (along * boxes.half[:, first]).sum(axis=2)
     height = ((boxes.center[:, first] - boxes.center[:, second]) * plane_normal).sum(axis=2)
-    gap = np.where(half_space, height - support, -overlap.min(axis=2))
+    gap = np.where(half_space, height - support, distance)
     lowest = boxes.center[:, first] - support[..., None] * plane_normal
-    place = np.where(half_space[..., None], lowest, 0.5 * (lower + upper))
-    normal = np.where(half_space[..., None], plane_normal, np.eye(3)[np.argmin(overlap, axis=2)])
+    place = np.where(half_space[..., None], lowest, common)
+    normal = np.where(half_space[..., None], plane_normal, axis)
     side = 4.0 * sides[:, first, 1] * sides[:, first, 2]
     area = np.where(half_space, side, across[..., 1] * across[..., 2])
     return gap < _NEAR * size, place, normal, area
+
+
+def _separation(
+    boxes: _WorldBoxes, first: NDArray[np.int_], second: NDArray[np.int_]
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Returns the distance of two boxes along the axis along which it is largest, this axis, and whether a face of the second has it.
+
+    The axes are the normals of faces and the common normals of edges. The distance is negative in overlap. (envs, pairs) [m],
+    (envs, pairs, 3), (envs, pairs). Values of half-spaces have no meaning.
+    """
+    axes = [boxes.axes[:, number] for number in (first, second)]
+    half = [np.where(np.isinf(boxes.half), 0.0, boxes.half)[:, number] for number in (first, second)]
+    across = np.cross(axes[0][:, :, :, None], axes[1][:, :, None]).reshape(*axes[0].shape[:2], 9, 3)
+    length = np.linalg.norm(across, axis=3, keepdims=True)
+    # Parallel edges have no common normal.
+    across = np.where(length > _PARALLEL, across / np.maximum(length, _PARALLEL), axes[0][:, :, :1])
+    candidates = np.concatenate([*axes, across], axis=2)
+    distance = np.abs(np.einsum("epk,epck->epc", boxes.center[:, first] - boxes.center[:, second], candidates))
+    for frame, size in zip(axes, half, strict=True):
+        distance -= np.einsum("epck,epk->epc", np.abs(np.einsum("epak,epck->epca", frame, candidates)), size)
+    most = np.argmax(distance, axis=2)[..., None]
+    chosen = np.take_along_axis(candidates, most[..., None], axis=2)[:, :, 0]
+    is_of_second = (most[..., 0] >= 3) & (most[..., 0] < 6)
+    return np.take_along_axis(distance, most, axis=2)[..., 0], chosen, is_of_second
 
 
 def _largest_eigenvalues(
