@@ -18,7 +18,7 @@ from warpcontact.forces.contact_warnings import is_nonsmooth, nonsmooth_overlap_
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget
 from warpcontact.forces.sensor import Sensor, shape_in
 from warpcontact.kernels.acceptance import reset
-from warpcontact.kernels.body_contact import acceptance, bounds, force
+from warpcontact.kernels.body_contact import acceptance, bounds, force, step_oscillations
 from warpcontact.kernels.body_contact.patches import PATCH_COUNT
 from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
@@ -30,6 +30,7 @@ from warpcontact.scene.status import ContactStatus
 from warpcontact.storage.allocation_plan import fixed, per_env
 from warpcontact.storage.model_arrays import ModelArrays
 from warpcontact.storage.parameters import Field, Parameters, pack
+from warpcontact.storage.state_storage import COUNT
 from warpcontact.validation import checks
 from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
@@ -136,6 +137,11 @@ class BodyContactSet(ForceElement):
         BodyContacts = body_contact_structs(self.real).BodyContacts
         computed = [name for name in BodyContacts.vars if name != "entry_speed"]
         self.body_contacts = layout.struct(_PURPOSE, BodyContacts, per_env(self.count), transient=computed)
+        self.oscillations: Any = None
+        if not self.parts.law.rigid:
+            StepOscillations = step_oscillations.oscillation_structs(self.real).StepOscillations
+            ranges = {"reversals": COUNT, "unstable_steps": COUNT}
+            self.oscillations = layout.struct(_PURPOSE, StepOscillations, per_env(self.count), ranges=ranges)
         Coefficients, Memory = group_structs(self.parts, self.real, per_patch=self.parts.acts_per_patch)
         self.coefficients, self.memory, self.history_out = Coefficients(), Memory(), Memory()
         # History variables of law and friction: one set per patch.
@@ -196,8 +202,7 @@ class BodyContactSet(ForceElement):
         launches: list[wp.Launch] = []
         if self.computes_boxes:
             launches = plan.prepare(bounds.solid_boxes(self.real), tables.count, boxes=tables.boxes, **common)
-        acting = [(0, self.count)] if plan.nonsmooth is None else plan.nonsmooth.compliant_items(self.items)
-        for first, count in [] if self.parts.law.rigid else acting:
+        for first, count in self._compliant_pairs(plan):
             for kernel in self.kernels:
                 launches += plan.prepare(
                     kernel,
@@ -223,9 +228,26 @@ class BodyContactSet(ForceElement):
             launches += manifolds.find_launches(plan, state, step, status)
         return launches
 
+    def _compliant_pairs(self, plan: "ExecutionPlan") -> list[tuple[int, int]]:
+        """Returns ranges (first, count) of the pairs that have forces."""
+        if self.parts.law.rigid:
+            return []
+        return [(0, self.count)] if plan.nonsmooth is None else plan.nonsmooth.compliant_items(self.items)
+
     def accept_launches(self, plan: "ExecutionPlan", dt: "StepLength", state_in: Any) -> list[wp.Launch]:
-        """Returns the launch that stores entry speeds, patches and history variables after an accepted step."""
-        return plan.prepare(
+        """Returns the launches that count unstable steps and store entry speeds, patches and history variables after a step."""
+        launches: list[wp.Launch] = []
+        for first, count in self._compliant_pairs(plan):
+            launches += plan.prepare(
+                step_oscillations.count_oscillations(self.real),
+                count,
+                status=plan.model.arrays.status,
+                step=dt.real,
+                first_pair=first,
+                body_contacts=self.body_contacts,
+                oscillations=self.oscillations,
+            )
+        return launches + plan.prepare(
             acceptance.accept_contacts(self.parts, self.real),
             self.count,
             status=plan.model.arrays.status,
@@ -244,6 +266,9 @@ class BodyContactSet(ForceElement):
             self.manifolds.reset_state(chosen)
         inputs = [chosen, self.body_contacts]
         wp.launch(acceptance.reset_contacts(self.real), dim=(envs, self.count), inputs=inputs, device=device)
+        if self.oscillations is not None:
+            kernel, inputs = step_oscillations.reset_oscillations(self.real), [chosen, self.oscillations]
+            wp.launch(kernel, dim=(envs, self.count), inputs=inputs, device=device)
         if self.has_patches:
             dim = (envs, PATCH_COUNT * self.count)
             wp.launch(
@@ -259,11 +284,26 @@ class BodyContactSet(ForceElement):
                     wp.launch(reset.memory(formula, precision), dim=dim, inputs=inputs, device=device)
 
     def failures(self) -> dict[str, NDArray[np.int32]]:
-        """Returns the number of steps since reset with more patches than room, (envs,) by nonsmooth contact."""
-        return {} if self.active_manifolds is None else self.active_manifolds.failures()
+        """Returns the number of steps since reset in which forces were wrong, (envs,) by contact; the maximum of its pairs.
+
+        Nonsmooth contacts had more patches than room; the time step was too long for the others.
+        """
+        found = {} if self.active_manifolds is None else self.active_manifolds.failures()
+        if self.oscillations is not None and self.oscillations.unstable_steps is not None:
+            values = self.oscillations.unstable_steps.numpy()
+            for contact, items in self.items.items():
+                found.setdefault(contact.name, values[:, items].max(axis=1))
+        return found
 
     def failure_warning(self, name: str, count: int, envs: int, first: int) -> RunWarning:
-        """Returns a warning that two solids had more patches than room."""
+        """Returns a warning that two solids had more patches than room, or that the time step was too long."""
+        if self.active_manifolds is None or name not in self.active_manifolds.failures():
+            return RunWarning(
+                f"{name}: dt was too long in {count} of {envs} environments (first: {first}): the rate of penetration changed "
+                "its sign in successive steps without decay, so bodies gain energy. Use a shorter dt. While bodies are in "
+                f"contact, Simulation.check recommends one. {name}.unstable_steps counts such steps",
+                WarningLevel.ERROR,
+            )
         text = (
             f"{name}: two solids touched with more than {MAX_PATCHES} different normals in {count} of {envs} environments "
             f"(first: {first}). The areas with the smallest gaps acted. Use several surfaces instead of one mesh, or "
@@ -314,9 +354,19 @@ class BodyContactSet(ForceElement):
                     codes=ContactStatus if key == "status" else None,
                     shape=shape_in(self.body_contacts, attribute),
                 )
+            if self.oscillations is not None:
+                yield Sensor(
+                    f"{contact.name}.unstable_steps",
+                    "-",
+                    "number of steps since reset that were too long: the rate of penetration changed its sign without decay",
+                    self._column("unstable_steps", own, of="oscillations"),
+                    items=several,
+                )
 
-    def _column(self, attribute: str, items: int | slice) -> Callable[[ModelArrays], wp.array]:
-        return lambda _: getattr(self.body_contacts, attribute)[:, items]
+    def _column(
+        self, attribute: str, items: int | slice, of: str = "body_contacts"
+    ) -> Callable[[ModelArrays], wp.array]:
+        return lambda _: getattr(getattr(self, of), attribute)[:, items]
 
 
 def declare(context: BuildContext, elements: Sequence[BodyContact]) -> list[ForceElement]:

@@ -190,7 +190,7 @@ class _WorldBoxes:
 
 def _touch(
     boxes: _WorldBoxes, first: NDArray[np.int_], second: NDArray[np.int_]
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[NDArray[np.bool_], Array, Array, Array]:
     """Returns whether solids are near, points of contact, normals and areas, (envs, pairs, …) [m, m²].
 
     ``first`` and ``second`` are the numbers of the solids of each pair.
