@@ -15,6 +15,8 @@ from warpcontact.usd.importing.findings import InvalidValue
 FRICTION = 0.5
 #: Smallest restitution of the law; at 0 the damping would be infinite.
 LEAST_RESTITUTION = 0.01
+#: Depth relative to the size of a body above which a contact with a stiffness from the duration of an impact is deep.
+DEEP = 0.01
 # Ratio of tangential to normal stiffness. For a solid sphere, the half periods of both springs are then equal. The
 # tangential dashpot has half the critical damping.
 _TANGENTIAL_RATIO = 2.0 / 7.0
@@ -104,11 +106,15 @@ class ContactMaterials:
     Args:
         given: Contact material of all contacts, or a table of them; ``None``: from the physics materials.
         contact_time: Duration of an impact [s], which gives the stiffness if no material does.
+        gravity: Magnitude of gravity [m/s²].
     """
 
-    def __init__(self, given: ContactMaterial | MaterialTable | None, contact_time: float) -> None:
+    def __init__(self, given: ContactMaterial | MaterialTable | None, contact_time: float, gravity: float) -> None:
         self.given = given
         self.contact_time = contact_time
+        self.gravity = gravity
+        self._deep = 0  # number of contacts that are deep under the weight of a body
+        self._deepest = (DEEP, "")  # largest depth relative to the size of a body, and the remark on it
         self.made: dict[tuple[float | None, ...], tuple[ContactMaterial, dict[str, Any]]] = {}
         self._elastic = 0  # number of contacts that use the damping of a material and ignore its restitution
         self._rolling: list[str] = []  # contacts that ignore the rolling friction of a material
@@ -161,14 +167,18 @@ class ContactMaterials:
             mixed = replace(mixed, torsion=None)
         mass = 1.0 / (1.0 / first.mass + 1.0 / second.mass)
         inertia = 1.0 / (1.0 / first.inertia + 1.0 / second.inertia)
+        if mixed.stiffness is None:
+            self._note_depth(label, first, second, mass)
         key = (mass, *astuple(mixed), *((inertia, radius) if mixed.rolling or mixed.torsion else ()))
         if key not in self.made:
             self.made[key] = self._contact_material(mixed, mass, inertia, radius), _options(mixed)
         return self.made[key]
 
     def remarks(self) -> Sequence[str]:
-        """Returns remarks on values of physics materials that no contact uses."""
+        """Returns remarks on deep contacts, and on values of physics materials that no contact uses."""
         found = []
+        if self._deep:
+            found.append(f"{self._deep} contacts are deep if they are compliant. The deepest: {self._deepest[1]}")
         if self._elastic:
             found.append(
                 f"{self._elastic} contacts use newton:contactDamping and ignore physics:restitution; MoreauJean "
@@ -185,6 +195,25 @@ class ContactMaterials:
                 f"{self._torsion[0]}: friction over the area of contact resists spin"
             )
         return found
+
+    def _note_depth(self, label: str, first: Side, second: Side, mass: float) -> None:
+        """Notes a contact that is deeper than ``DEEP`` times the size of a body under the weight of the heavier body [kg]."""
+        bodies = [side.body for side in (first, second) if side.body is not None]
+        heaviest = max(body.mass for body in bodies)
+        depth = heaviest * self.gravity / mass * (self.contact_time / pi) ** 2
+        # Side of the cube with the mean moment of inertia.
+        size = min(sqrt(2.0 * float(body.inertia.trace()) / body.mass) for body in bodies)
+        if depth <= DEEP * size:
+            return
+        self._deep += 1
+        if depth > self._deepest[0] * size:
+            limit = self.contact_time * sqrt(DEEP * size / depth)
+            text = (
+                f"{label} is {depth:.2g} m deep under the weight of {heaviest:.3g} kg, {100.0 * depth / size:.2g} % of the size "
+                f"of a body, with the stiffness from contact_time = {self.contact_time:g} s. Use contact_time ≤ {limit:.2g} s, "
+                "stiffer materials or MoreauJean"
+            )
+            self._deepest = depth / size, text
 
     def _contact_material(
         self, mixed: PhysicsMaterial, mass: float, inertia: float, radius: float | None

@@ -259,7 +259,7 @@ class ContactBuilder:
     ) -> None:
         self.scene = scene
         self.samples = samples
-        self.combiner = ContactMaterials(material, contact_time)
+        self.combiner = ContactMaterials(material, contact_time, float(np.linalg.norm(scene.gravity)))
         self.has_table = isinstance(material, MaterialTable)
         self.remarks: list[str] = []
         self._body_pairs: list[BodyPair] = []
