@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from warpcontact.forces.body_contact.body_sums import sum_warnings
 from warpcontact.forces.body_contact.curved_shapes import is_curved
 from warpcontact.forces.body_contact.manifold_set import ManifoldSet
+from warpcontact.forces.body_contact.overlap_warnings import body_overlap_warnings, overlaps_may_eject
 from warpcontact.forces.body_contact.solid_tables import SolidTables
-from warpcontact.forces.body_contact.step_warnings import pair_estimates, pair_warnings
+from warpcontact.forces.body_contact.step_warnings import PairEstimates, pair_estimates, pair_warnings
 from warpcontact.forces.contact_groups import add_material_parameters, compile_force_kernel
 from warpcontact.forces.contact_warnings import is_nonsmooth, nonsmooth_overlap_warnings
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget
@@ -312,13 +313,25 @@ class BodyContactSet(ForceElement):
         return RunWarning(text, WarningLevel.CAUTION)
 
     def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
-        """Returns whether some contacts are nonsmooth, whose initial penetration is checked."""
-        return any(is_nonsmooth(contact.name, nonsmooth) for contact in self.items)
+        """Returns whether some contacts are nonsmooth, or bodies might overlap enough to be ejected."""
+        if any(is_nonsmooth(contact.name, nonsmooth) for contact in self.items):
+            return True
+        return self.computes_boxes and overlaps_may_eject(model, self.tables, self._estimates(model, nonsmooth))
+
+    def _estimates(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> list[PairEstimates]:
+        """Returns the estimates of the compliant contacts of all sets."""
+        return [
+            pairs
+            for one in model.parts[0].of_family(self.family)
+            for contact in one.items
+            if not is_nonsmooth(contact.name, nonsmooth)
+            and (pairs := pair_estimates(model, contact, one)) is not None
+        ]
 
     def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
-        """Returns the warnings about the time step, and about initial penetration of nonsmooth contacts.
+        """Returns the warnings about the time step and about initial penetration.
 
-        The first set returns those about the time step for all sets, because contacts of a body act together.
+        The first set returns those of compliant contacts for all sets, because contacts of a body act together.
         """
         sentences = []
         for contact in self.items:
@@ -326,16 +339,12 @@ class BodyContactSet(ForceElement):
                 sentences += nonsmooth_overlap_warnings(model, f"{contact.name}.depth", dt, nonsmooth)
         if not self.computes_boxes:
             return sentences
-        estimates = [
-            pairs
-            for one in model.parts[0].of_family(self.family)
-            for contact in one.items
-            if not is_nonsmooth(contact.name, nonsmooth)
-            and (pairs := pair_estimates(model, contact, one)) is not None
-        ]
+        estimates = self._estimates(model, nonsmooth)
         alone = [sentence for pairs in estimates for sentence in pair_warnings(model, pairs, dt)]
         if estimates and not alone:
             alone = sum_warnings(model, self.tables, estimates, dt)
+        if overlaps_may_eject(model, self.tables, estimates):
+            alone += body_overlap_warnings(model, estimates)
         return sentences + alone
 
     def sensors(self) -> Iterator[Sensor]:

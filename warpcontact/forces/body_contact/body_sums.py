@@ -112,12 +112,8 @@ def _near_contacts(
     model: "Environments", tables: "SolidTables", estimates: Sequence[PairEstimates], dt: float
 ) -> _NearContacts:
     pairs = [pair for one in estimates for pair in one.contact.pairs]
-    envs = min(model.envs, max(1, MOST_PAIRS // len(pairs)))
-    solids = list(dict.fromkeys(solid for pair in pairs for solid in pair))
-    numbers = {solid: number for number, solid in enumerate(solids)}
-    boxes = _WorldBoxes.of(model, tables, solids, envs)
-    first_number, second_number = (np.array([numbers[pair[k]] for pair in pairs]) for k in (0, 1))
-    near, place, normal, area = _touch(boxes, first_number, second_number)
+    gap, size, place, normal, area = _touch(model, tables, pairs)
+    near, envs = gap < _NEAR * size, len(gap)
     # The tangents follow from the axis that is most across the normal.
     helper = np.eye(3)[np.argmin(np.abs(normal), axis=2)]
     tangent = np.cross(normal, helper)
@@ -188,30 +184,43 @@ class _WorldBoxes:
         return cls(*(np.stack(values, axis=1) for values in zip(*columns, strict=True)))
 
 
-def _touch(
-    boxes: _WorldBoxes, first: NDArray[np.int_], second: NDArray[np.int_]
-) -> tuple[NDArray[np.bool_], Array, Array, Array]:
-    """Returns whether solids are near, points of contact, normals and areas, (envs, pairs, …) [m, m²].
+def touching_boxes(
+    model: "Environments", tables: "SolidTables", estimates: Sequence[PairEstimates]
+) -> tuple[Array, Array]:
+    """Returns gaps and areas of contact of the bounding boxes of all pairs in the first environments, (envs, pairs) [m, m²]."""
+    gap, _, _, _, area = _touch(model, tables, [pair for one in estimates for pair in one.contact.pairs])
+    return gap, area
 
-    ``first`` and ``second`` are the numbers of the solids of each pair.
+
+def _touch(
+    model: "Environments", tables: "SolidTables", pairs: Sequence[tuple[Solid, Solid]]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Returns gaps, sizes, points of contact, normals and areas of the bounding boxes of pairs, (envs, pairs, …) [m, m²].
+
+    Sizes are the largest edges of the smaller boxes. Environments are the first ones with up to ``MOST_PAIRS`` pairs.
     """
+    envs = min(model.envs, max(1, MOST_PAIRS // len(pairs)))
+    solids = list(dict.fromkeys(solid for pair in pairs for solid in pair))
+    numbers = {solid: number for number, solid in enumerate(solids)}
+    boxes = _WorldBoxes.of(model, tables, solids, envs)
+    first, second = (np.array([numbers[pair[k]] for pair in pairs]) for k in (0, 1))
     sides = np.sort(boxes.half, axis=2)
     size = 2.0 * np.minimum(sides[:, first, 2], sides[:, second, 2])
     half_space = np.isinf(sides[:, second, 0])
     distance, axis, is_of_second = _separation(boxes, first, second)
     # The common part of both boxes in the axes of the one with the face.
     owner, other = np.where(is_of_second, second, first), np.where(is_of_second, first, second)
-    envs = np.arange(len(boxes.half))[:, None]
+    env = np.arange(envs)[:, None]
     half = np.where(np.isinf(boxes.half), 0.0, boxes.half)
-    frame = boxes.axes[envs, owner]
+    frame = boxes.axes[env, owner]
     extents = np.einsum(
-        "epac,epc->epa", np.abs(np.einsum("epak,epck->epac", frame, boxes.axes[envs, other])), half[envs, other]
+        "epac,epc->epa", np.abs(np.einsum("epak,epck->epac", frame, boxes.axes[env, other])), half[env, other]
     )
-    offset = np.einsum("epak,epk->epa", frame, boxes.center[envs, other] - boxes.center[envs, owner])
-    lower = np.maximum(offset - extents, -half[envs, owner])
-    upper = np.minimum(offset + extents, half[envs, owner])
+    offset = np.einsum("epak,epk->epa", frame, boxes.center[env, other] - boxes.center[env, owner])
+    lower = np.maximum(offset - extents, -half[env, owner])
+    upper = np.minimum(offset + extents, half[env, owner])
     across = np.sort(np.maximum(upper - lower, 0.0), axis=2)
-    common = boxes.center[envs, owner] + np.einsum("epa,epak->epk", 0.5 * (lower + upper), frame)
+    common = boxes.center[env, owner] + np.einsum("epa,epak->epk", 0.5 * (lower + upper), frame)
     # Half-spaces: the lowest point, and the largest side.
     plane_normal = boxes.axes[:, second, 2]
     along = np.abs(np.einsum("epki,epi->epk", boxes.axes[:, first], plane_normal))
@@ -223,7 +232,7 @@ def _touch(
     normal = np.where(half_space[..., None], plane_normal, axis)
     side = 4.0 * sides[:, first, 1] * sides[:, first, 2]
     area = np.where(half_space, side, across[..., 1] * across[..., 2])
-    return gap < _NEAR * size, place, normal, area
+    return gap, size, place, normal, area
 
 
 def _separation(

@@ -9,6 +9,7 @@ from warpcontact.forces.contact_warnings import TYPICAL_SPEED, column_of, expect
 from warpcontact.forces.friction_slopes import Coefficients, steepest_slopes, unstable_friction_warning
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.laws.formulas import contact_time
+from warpcontact.kernels.laws.linear_dashpot import restitution_of_damping_ratio
 from warpcontact.kernels.types import FIXED, PRESCRIBED, TIME_FUNCTION
 from warpcontact.scene.body_contact import Solid
 from warpcontact.scene.elements import Body
@@ -36,6 +37,8 @@ class PairEstimates:
         area: Largest side of the smaller bounding box [m²].
         mass: Effective mass along the normal [kg].
         turning_mass: Effective mass for a force on a side [kg].
+        elastic: Stiffness K and exponent n of the law, K δⁿ [N/mⁿ], or [Pa/mⁿ] of a law per area; ``None``: there is no elastic part.
+        restitution: Coefficient of restitution of the law or of its dashpot [-]; 1 if it has neither.
         duration: Duration of an impact at the expected speed [s]; ``None``: the law has no elastic part.
         steep_duration: Likewise, with the slope at the expected speed; ``None``: damping does not grow with the force.
         dashpot: Dashpot of the law at any depth [N·s/m]; ``None``: there is none.
@@ -46,6 +49,8 @@ class PairEstimates:
     area: Array
     mass: Array
     turning_mass: Array
+    elastic: tuple[Array, Array] | None
+    restitution: Array
     duration: Array | None
     steep_duration: Array | None
     dashpot: Array | None
@@ -76,10 +81,14 @@ def pair_estimates(model: "Environments", contact: "BodyContact", group: "BodyCo
     if contact.per_area:
         values["area"] = np.ones((1, 1))
     elastic = type(law).elastic(values)
-    duration = steep_duration = None
+    shape = (model.envs, contact.count)
+    dashpot = None if contact.per_area else type(law).dashpot(values, mass)
+    restitution = np.broadcast_to(values.get("restitution", 1.0), shape)
+    duration = steep_duration = of_law = None
     if elastic is not None:
-        shape = (model.envs, contact.count)
-        stiffness, exponent = (np.broadcast_to(part, shape) for part in elastic)
+        of_law = stiffness, exponent = np.broadcast_to(elastic[0], shape), np.broadcast_to(elastic[1], shape)
+        if dashpot is not None:
+            restitution = restitution_of_damping_ratio(0.5 * dashpot / np.sqrt(stiffness * mass))
         if contact.per_area:
             stiffness = stiffness * area
         duration = contact_time(stiffness, exponent, mass, speed)
@@ -87,7 +96,6 @@ def pair_estimates(model: "Environments", contact: "BodyContact", group: "BodyCo
             # N = K δ (1 + χ δ̇): the slope at the expected speed.
             steep = stiffness * (1.0 + values["damping"] * speed)
             steep_duration = contact_time(steep, exponent, mass, speed)
-    dashpot = None if contact.per_area else type(law).dashpot(values, mass)
     kind = contact.material.parts.friction
     slopes = None
     if not issubclass(kind, Frictionless):
@@ -95,7 +103,9 @@ def pair_estimates(model: "Environments", contact: "BodyContact", group: "BodyCo
         load = np.ascontiguousarray(np.broadcast_to(gravity * mass, (model.envs, contact.count)))
         slopes = steepest_slopes(model, kind, _friction(contact), load, np.zeros_like(load))
     turning_mass = 1.0 / np.maximum(turning, MIN_MOBILITY)
-    return PairEstimates(contact, area, mass, turning_mass, duration, steep_duration, dashpot, slopes)
+    return PairEstimates(
+        contact, area, mass, turning_mass, of_law, restitution, duration, steep_duration, dashpot, slopes
+    )
 
 
 def pair_warnings(model: "Environments", pairs: PairEstimates, dt: float) -> list[str]:

@@ -199,10 +199,10 @@ class ContactMaterials:
     def _note_depth(self, label: str, first: Side, second: Side, mass: float) -> None:
         """Notes a contact that is deeper than ``DEEP`` times the size of a body under the weight of the heavier body [kg]."""
         bodies = [side.body for side in (first, second) if side.body is not None]
-        heaviest = max(body.mass for body in bodies)
+        heaviest = max(float(body.mass) for body in bodies)
         depth = heaviest * self.gravity / mass * (self.contact_time / pi) ** 2
         # Side of the cube with the mean moment of inertia.
-        size = min(sqrt(2.0 * float(body.inertia.trace()) / body.mass) for body in bodies)
+        size = min(sqrt(2.0 * float(body.inertia.trace()) / float(body.mass)) for body in bodies)
         if depth <= DEEP * size:
             return
         self._deep += 1
