@@ -52,6 +52,7 @@ class RestModel:
         seconds: Time until the bodies are at rest [s].
         overlap: Whether bodies overlap at the start, so that they move apart, and impulses need a recovery time.
         compliant_dt: Time step of compliant contact [s]: 1/50 of the contact time, or as ``Simulation.check`` recommends at rest.
+        contact_time: Duration of an impact in compliant contact [s]; longer if many solids of a body share its weight.
     """
 
     name: str
@@ -61,6 +62,7 @@ class RestModel:
     seconds: float = 4.0
     overlap: bool = False
     compliant_dt: float = 2e-4
+    contact_time: float = 0.01
 
 
 MODELS = (
@@ -73,9 +75,20 @@ MODELS = (
         "mujoco",
         f"{CONVEX}/stacked_boxes.xml",
         "18 meshes of boxes in a corner",
-        2.0,
-        compliant_dt=5e-5,
+        compliant_dt=1e-4,
     ),
+    RestModel("edge_edge", "mujoco", f"{CONVEX}/edge_edge.xml", "two slabs lean on each other"),
+    RestModel(
+        "planks",
+        "mujoco",
+        "test/engine/testdata/collision_driver/planks.xml",
+        "six grids of 19 boxes in a stack",
+        2.0,
+        overlap=True,
+        compliant_dt=6e-5,
+        contact_time=0.02,
+    ),
+    RestModel("dominoes", "mujoco", "test/engine/testdata/sleep/contact.xml", "five boxes, one tips the others"),
     RestModel(
         "boxbox_duplicate", "mujoco", "test/engine/testdata/collision_box/boxbox_duplicate.xml", "box on a box"
     ),
@@ -108,6 +121,9 @@ MODELS = (
         f"{EXAMPLES}/usdPhysicsPairFiltering.usda",
         "two cubes, a filtered pair",
         overlap=True,
+    ),
+    RestModel(
+        "cube_cylinder", "newton", "tests/assets/cube_cylinder.usda", "mesh of a can falls on a mesh of a cube"
     ),
     RestModel("box_on_plane", "newton", "tests/assets/kamino/basics/box_on_plane.usda", "cube on a slab"),
 )

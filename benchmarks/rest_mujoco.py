@@ -3,7 +3,8 @@
     python rest_mujoco.py MODEL OUT SECONDS
 
 MODEL is a model of MuJoCo, or a description as JSON (see ``rest_models.py``). OUT is a JSON file with the description, and poses and
-speeds of the bodies after a time.
+speeds of the bodies after a time. Poses of ``VARIANTS`` show whether MuJoCo determines them: from a disturbed start, with half of the
+time step, with the other friction cone (elliptic or pyramidal), and with half of the time constant of contact.
 """
 
 import json
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from rest_models import Array, Description, matrix
+from rest_models import Array, Description, bounds, matrix
 
 KINDS = {
     getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"): kind
@@ -25,6 +26,12 @@ def scalar_last(rotation: Array) -> list[float]:
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
     return np.roll(quaternion, -1).tolist()
+
+
+#: Disturbance of the start, relative to the size of each body, and in radians.
+DISTURBANCE = 1.0e-6
+#: Other runs of a model.
+VARIANTS = ("disturbed", "half_step", "other_cone", "half_contact_time")
 
 
 class Groups:
@@ -176,26 +183,67 @@ def set_velocities(model: mujoco.MjModel, data: mujoco.MjData, description: Desc
         data.qvel[own] = (*one["linear_velocity"], *(turn.T @ one["angular_velocity"]))
 
 
-def main() -> None:
-    """Writes the description and the poses after a time."""
-    source, out, seconds = Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
-    if source.suffix == ".json":
-        model = model_of(json.loads(source.read_text()))
-    else:
-        model = mujoco.MjModel.from_xml_path(str(source))
+def disturb(model: mujoco.MjModel, data: mujoco.MjData, groups: Groups, description: Description) -> None:
+    """Moves and turns each body at random by ``DISTURBANCE`` of its size, and as many radians."""
+    random = np.random.default_rng(0)
+    for joint in range(model.njnt):
+        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+            continue
+        low, high = bounds(description, groups.numbers[model.jnt_bodyid[joint]])
+        start = model.jnt_qposadr[joint]
+        data.qpos[start : start + 3] += DISTURBANCE * (high - low).max() * random.uniform(-1.0, 1.0, 3)
+        mujoco.mju_quatIntegrate(data.qpos[start + 3 : start + 7], random.uniform(-1.0, 1.0, 3), DISTURBANCE)
+
+
+def vary(model: mujoco.MjModel, name: str) -> None:
+    """Applies one of ``VARIANTS`` to the options of a model."""
+    if name == "other_cone":
+        model.opt.cone = 1 - model.opt.cone
+    if name == "half_contact_time":
+        # Negative values are a stiffness. The time constant must be at least two time steps.
+        model.geom_solref[:, 0] = np.where(model.geom_solref[:, 0] > 0.0, 0.5, 1.0) * model.geom_solref[:, 0]
+    if name in ("half_step", "half_contact_time"):
+        model.opt.timestep *= 0.5
+
+
+def load(source: Path) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Returns a model and its initial state, from a model of MuJoCo or a description."""
+    given = json.loads(source.read_text()) if source.suffix == ".json" else None
+    model = mujoco.MjModel.from_xml_path(str(source)) if given is None else model_of(given)
     data = mujoco.MjData(model)
-    if source.suffix == ".json":
-        set_velocities(model, data, json.loads(source.read_text()))
+    if given is not None:
+        set_velocities(model, data, given)
     mujoco.mj_forward(model, data)
-    groups = Groups(model, data)
-    description = describe(model, data, groups)
+    return model, data
+
+
+def come_to_rest(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
+    """Steps a model for a time [s] and evaluates its final state."""
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
     mujoco.mj_forward(model, data)
+
+
+def main() -> None:
+    """Writes the description, and the poses after a time, of the model and of its variants."""
+    source, out, seconds = Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
+    model, data = load(source)
+    groups = Groups(model, data)
+    description = describe(model, data, groups)
+    come_to_rest(model, data, seconds)
+    variants = {}
+    for name in VARIANTS:
+        other, state = load(source)
+        vary(other, name)
+        if name == "disturbed":
+            disturb(other, state, groups, description)
+        come_to_rest(other, state, seconds)
+        variants[name] = groups.poses(state)
     report = {
         "version": mujoco.__version__,
         "description": description,
         "poses": groups.poses(data),
+        "variants": variants,
         "speed": float(np.abs(data.qvel).max(initial=0.0)),
         "penetration": -float(data.contact.dist.min(initial=0.0)),
     }

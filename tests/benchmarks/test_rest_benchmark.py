@@ -93,3 +93,19 @@ def test_difference_of_poses_is_that_of_the_corners(load):
     height, place = models.differences(one, moved, poses)
     assert height == pytest.approx(0.002 / (high - low).max())
     assert place == pytest.approx(np.hypot(0.003, 0.002) / (high - low).max())
+
+
+def test_poses_of_a_description_can_be_set(tmp_path, load):
+    rest = load("rest")
+    one = description()
+    path = tmp_path / "model.usda"
+    path.write_text(rest.rest_model_stages.stage(one), encoding="utf-8")
+    scene = wc.Scene.from_usd(path, trusted=True)
+    model = scene.build(device="cpu", precision="float64")
+    start = np.array([body.orientation for body in scene.bodies])
+    turns = Rotation.from_rotvec([[0.3, -0.2, 1.0], [2.0, 0.1, 0.0]]).as_quat()
+    poses = np.hstack([[[0.1, 0.2, 0.3], [1.0, 2.0, 3.0]], turns])
+    rest.set_poses(model, one, start, poses)
+    found = rest.poses_of(model, one, start)
+    # Orientations of principal axes in a stage are in single precision.
+    assert rest.rest_models.differences(one, found, poses) == pytest.approx((0.0, 0.0), abs=1e-6)
