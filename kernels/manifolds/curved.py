@@ -23,6 +23,7 @@ from warpcontact.kernels.manifolds.curved_edges import (
 from warpcontact.kernels.manifolds.curved_hull import CurvedHull, hull_of, lowest_of_hull
 from warpcontact.kernels.manifolds.curved_separation import (
     CurvedPair,
+    CurvedSeparation,
     Support,
     separation_of_faces,
     support_points,
@@ -284,6 +285,7 @@ def add_curved_on_face(
     hull: CurvedHull,
     face: int,
     outline: int,
+    end_normal: vec3d,
     bias: double,
     reach: Reach,
     supports: wp.array(dtype=Support),
@@ -292,7 +294,19 @@ def add_curved_on_face(
 ):
     """Adds the points of a curved solid above an outline of a face of a polyhedron as candidates.
 
-    ``bias``: distance by which the lowest point of a convex pair may be deeper than those above the outline [m].
+    Args:
+        geometries: The geometries.
+        features: Their features.
+        pair: The pair.
+        hull: The curved solid in the frame of the polyhedron.
+        face: The face.
+        outline: The outline.
+        end_normal: Normal of the flat end with the largest separation of a convex pair, towards the curved solid; zero: none.
+        bias: Distance by which the lowest point of a convex pair may be deeper than those above the outline [m].
+        reach: Lengths that decide which points belong to the manifold.
+        supports: Working memory of ``support_points``.
+        patches: The patches.
+        candidates: Their candidates.
     """
     normal = geometries.normal[face]
     offset = plane_offset(geometries, pair.own, face)
@@ -307,23 +321,24 @@ def add_curved_on_face(
     reference.cosine = double(1.0)
     z = end_height(flags, pair.other.scale, side)
     if side != 0:
-        # The flat end is the reference if the whole outline is farther from its plane than the end is from that of the face.
+        # The flat end is the reference if the whole outline is farther from its plane than the end is from that of the face,
+        # and the end is that with the largest separation of a convex pair.
         middle = moved(pair.pose, vec3d(double(0.0), double(0.0), z))
         axis = double(side) * hull.axis
         nearest = double(wp.inf)
         for i in range(features.outline_start[outline], features.outline_start[outline + 1]):
             corner = vertex_position(geometries, features.outline_vertex[i], pair.own)
             nearest = wp.min(nearest, wp.dot(axis, corner - middle))
-        if nearest > lowest + PREFERENCE * reach.size:
+        may_be_reference = not pair.is_convex or wp.dot(end_normal, axis) < double(0.0)
+        if may_be_reference and nearest > lowest + PREFERENCE * reach.size:
             reference.normal = -axis
             reference.cosine = wp.dot(normal, reference.normal)
             lowest = nearest
-        elif (
-            distance_inside(geometries, features, pair.own, outline, normal, middle) + pair.other.scale[0]
-            < -lowest
-        ):
+        elif not pair.is_convex:
             # A flat end that extends over the face by less than it is deep touches another face.
-            return
+            inside = distance_inside(geometries, features, pair.own, outline, normal, middle)
+            if inside + pair.other.scale[0] < -lowest:
+                return
     if lowest > reach.margin or lowest < -reach.depth:
         return
     normal_2 = pair.second_frame.rotation * reference.normal
@@ -369,12 +384,51 @@ def add_curved_on_face(
 
 
 @wp.func
+def add_deepest_point(
+    geometries: Geometries,
+    features: Features,
+    pair: CurvedPair,
+    hull: CurvedHull,
+    best: CurvedSeparation,
+    reach: Reach,
+    patches: wp.array(dtype=Patch),
+    candidates: wp.array(dtype=Candidate),
+):
+    """Adds the point with the largest separation along a face or flat end as a candidate, which need not be above it."""
+    reference = FaceReference()
+    reference.normal = best.end_normal
+    number = wp.int32(COVERED)
+    own_feature = vertex_feature(best.vertex)
+    position = vertex_position(geometries, best.vertex, pair.own) + best.distance * reference.normal
+    if best.vertex == 0:
+        reference.normal = geometries.normal[geometries.plane_face[best.plane]]
+        number = LINE_START
+        own_feature = plane_feature(best.plane)
+        position = lowest_of_hull(hull, reference.normal)
+    normal_2 = pair.second_frame.rotation * reference.normal
+    if not pair.own_is_second:
+        normal_2 = -normal_2
+    reference.patch = patch_for(patches, normal_2, best.distance)
+    add_point(pair, reference, position, best.distance, number, own_feature, reach, patches, candidates)
+
+
+@wp.func
 def candidate_count(patches: wp.array(dtype=Patch)):
     """Returns the number of candidates of all patches."""
     found = wp.int32(0)
     for patch in range(MAX_PATCHES):
         found += patches[patch].count
     return found
+
+
+@wp.func
+def smallest_gap(patches: wp.array(dtype=Patch)):
+    """Returns the smallest gap of the candidates of all patches, infinite without any [m]."""
+    gap = double(wp.inf)
+    for patch in range(MAX_PATCHES):
+        if patches[patch].count > 0:
+            gap = wp.min(gap, patches[patch].gap)
+    return gap
 
 
 @wp.func
@@ -403,7 +457,7 @@ def add_all_faces_and_edges(
                     add_edges(geometries, features, pair, hull, face, reach, patches, candidates)
                 else:
                     add_curved_on_face(
-                        geometries, features, pair, hull, face, face, double(0.0), reach, supports, patches,
+                        geometries, features, pair, hull, face, face, vec3d(), double(0.0), reach, supports, patches,
                         candidates,
                     )  # fmt: skip
             leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, pair.own, still, box)
@@ -459,7 +513,7 @@ def curved_manifold(
         if edge.gap > reach.margin:
             return result
     best = separation_of_faces(
-        geometries, features, geometry, pair, hull, likely, reach.margin, ROUNDING * reach.size
+        geometries, features, geometry, pair, hull, likely, reach.margin, ROUNDING * reach.size, pending
     )
     result.likely = wp.vec4i(best.plane, best.vertex, 0, 0)
     if best.distance > reach.margin:
@@ -485,8 +539,13 @@ def curved_manifold(
                 if attempt == 1 or edge.gap > best.distance + bias:
                     add_edge_contact(geometries, features, pair, edge, reach, patches, candidates)
                     result.code = EDGES
-                    return result
+                    if attempt == 0 or candidate_count(patches) > 0:
+                        return result
         if attempt == 1:
+            # The largest separation of an ellipsoid that is deeper than its radii of curvature may be along any other direction.
+            if best.distance < double(0.0):
+                result.code = NO_REFERENCE
+                add_deepest_point(geometries, features, pair, hull, best, reach, patches, candidates)
             return result
         for plane in range(pair.own.first_plane, pair.own.end_plane):
             # The lowest point is at most as high as any other one. A flat end may be the reference.
@@ -496,9 +555,10 @@ def curved_manifold(
                 for i in range(features.plane_outline_start[plane], features.plane_outline_start[plane + 1]):
                     outline = features.plane_outline[i]
                     add_curved_on_face(
-                        geometries, features, pair, hull, face, outline, bias, reach, supports, patches, candidates
-                    )
-        if candidate_count(patches) == 0 and best.vertex > 0:
+                        geometries, features, pair, hull, face, outline, best.end_normal, bias, reach, supports,
+                        patches, candidates,
+                    )  # fmt: skip
+        if best.vertex > 0 and smallest_gap(patches) > best.distance + bias:
             add_vertex_below_end(geometries, features, geometry, pair, best, reach, patches, candidates)
         if candidate_count(patches) > 0:
             return result

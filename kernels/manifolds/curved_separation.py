@@ -6,7 +6,8 @@ from warpcontact.kernels.body_contact.solids import Geometries, RelativePose
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, is_on_face, plane_offset
 from warpcontact.kernels.manifolds.curved_hull import CurvedHull, lowest_of_hull, nearest_surface_point
 from warpcontact.kernels.manifolds.features import Features, moved, vertex_position
-from warpcontact.kernels.manifolds.separation import height_above_plane, highest_plane, lowest_vertex
+from warpcontact.kernels.manifolds.normal_trees import height_above_plane, highest_plane_above
+from warpcontact.kernels.manifolds.separation import lowest_vertex
 from warpcontact.kernels.manifolds.support_features import LINE_END, LINE_START, end_height, flat_end, lowest_line
 
 double = wp.float64
@@ -121,16 +122,40 @@ def plane_separation(geometries: Geometries, own: SolidGeometry, hull: CurvedHul
 
 
 @wp.func
-def nearest_point(geometries: Geometries, features: Features, pair: CurvedPair, plane: int, lowest: vec3d):
+def highest_plane(
+    geometries: Geometries,
+    features: Features,
+    geometry: int,
+    own: SolidGeometry,
+    likely: int,
+    position: vec3d,
+    pending: wp.array(dtype=wp.int32),
+):
+    """Returns the plane of a convex polyhedron above which a point is highest, ``likely`` among equal ones, and the height [m]."""
+    height = height_above_plane(geometries, own, likely, position)
+    plane, height = highest_plane_above(geometries, features, own, geometry, position, height, pending)
+    return wp.where(plane < 0, likely, plane), height
+
+
+@wp.func
+def nearest_point(
+    geometries: Geometries,
+    features: Features,
+    geometry: int,
+    pair: CurvedPair,
+    plane: int,
+    lowest: vec3d,
+    pending: wp.array(dtype=wp.int32),
+):
     """Returns a point of the curved solid above a plane that is near the polyhedron: the lowest one, or one near its center.
 
     Also returns the plane above which it is highest, and its height above that plane [m]. ``lowest``: the lowest point [m].
     """
-    highest, height = highest_plane(geometries, features, pair.own, plane, lowest)
+    highest, height = highest_plane(geometries, features, geometry, pair.own, plane, lowest, pending)
     if highest == plane:
         return lowest, highest, height
     other = near_point(pair, geometries.normal[geometries.plane_face[plane]])
-    other_highest, other_height = highest_plane(geometries, features, pair.own, plane, other)
+    other_highest, other_height = highest_plane(geometries, features, geometry, pair.own, plane, other, pending)
     if other_height < height:
         return other, other_highest, other_height
     return lowest, highest, height
@@ -146,6 +171,7 @@ def separation_of_faces(
     likely: wp.vec4i,
     margin: double,
     tolerance: double,
+    pending: wp.array(dtype=wp.int32),
 ):
     """Returns the ``CurvedSeparation`` of a convex polyhedron and a curved solid; the first one above ``margin`` if there is one.
 
@@ -158,13 +184,14 @@ def separation_of_faces(
         likely: The plane and the vertex of the last step, numbers of which may be invalid.
         margin: Separation that ends the search [m].
         tolerance: Rounding of separations [m].
+        pending: Working memory of traversals.
     """
     result = CurvedSeparation()
     own = pair.own
     start = likely[0]
     if start < own.first_plane or start >= own.end_plane:
         center = moved(pair.pose, pair.other.center)
-        start, _height = highest_plane(geometries, features, own, own.first_plane, center)
+        start, _height = highest_plane(geometries, features, geometry, own, own.first_plane, center, pending)
     # From plane to plane, to the one above which a point near the last plane is highest, while the separation grows.
     result.distance = -double(wp.inf)
     plane = wp.int32(start)
@@ -180,7 +207,7 @@ def separation_of_faces(
             result.plane = plane
             if distance > margin:
                 return result
-            near, highest, height = nearest_point(geometries, features, pair, plane, lowest)
+            near, highest, height = nearest_point(geometries, features, geometry, pair, plane, lowest, pending)
             result.near = near
             plane = highest
             searching = highest != result.plane and height > distance + tolerance
@@ -197,7 +224,9 @@ def separation_of_faces(
                     if distance > margin:
                         return result
         if result.plane != start:
-            near, highest, height = nearest_point(geometries, features, pair, result.plane, result.near)
+            near, highest, height = nearest_point(
+                geometries, features, geometry, pair, result.plane, result.near, pending
+            )
             result.near = near
     if height <= result.distance + tolerance:
         result.is_largest = height <= double(0.0)

@@ -26,8 +26,6 @@ class Features:
     box_plane: wp.array(dtype=wp.int32)
     plane_face: wp.array(dtype=wp.int32)  # faces of all planes
     plane_start: wp.array(dtype=wp.int32)  # [plane + 1] first of its faces in ``plane_face``
-    plane_neighbor: wp.array(dtype=wp.int32)  # neighbors of all planes of convex solids
-    plane_neighbor_start: wp.array(dtype=wp.int32)  # [plane + 1] first of its neighbors in ``plane_neighbor``
     # Trees of normals of convex solids (``normal_trees.py``): [node] first of two children, which are consecutive, or −1; first
     # item; end of its items.
     normal_node: wp.array(dtype=wp.vec3i)

@@ -107,26 +107,6 @@ def lowest_vertex(geometries: Geometries, features: Features, side: SolidGeometr
 
 
 @wp.func
-def highest_plane(geometries: Geometries, features: Features, own: SolidGeometry, start: int, position: vec3d):
-    """Returns the plane of a convex solid above which a point is highest, and the height [m].
-
-    The planes above which a point is higher than any value are neighbors of each other, so the search goes from ``start`` to a
-    neighbor above which the point is higher until there is none.
-    """
-    best = start
-    highest = height_above_plane(geometries, own, start, position)
-    current = wp.int32(-1)
-    while best != current:
-        current = best
-        for i in range(features.plane_neighbor_start[current], features.plane_neighbor_start[current + 1]):
-            height = height_above_plane(geometries, own, features.plane_neighbor[i], position)
-            if height > highest:
-                highest = height
-                best = features.plane_neighbor[i]
-    return best, highest
-
-
-@wp.func
 def largest_plane_separation(
     geometries: Geometries,
     features: Features,

@@ -15,6 +15,8 @@ SIZES = {
     "ellipsoid": (0.12, 0.08, 0.05),
     "box": (0.1, 0.07, 0.12),
 }
+#: Largest edges of the bounding boxes of the curved ones [m].
+LENGTHS = {"sphere": 0.2, "capsule": 0.4, "cylinder": 0.3, "cone": 0.25, "ellipsoid": 0.24}
 STARTS, ROUNDS, SHRINK = 3, 30, 0.55
 
 

@@ -1,4 +1,7 @@
-"""References of nonsmooth body contact of convex meshes, against separations along all normals of their planes and edges."""
+"""References of nonsmooth body contact of convex meshes, against separations along all normals of their planes and edges.
+
+Also of curved solids deep inside convex meshes, against those along all normals of planes and flat ends.
+"""
 
 from typing import Any
 
@@ -6,8 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from convex_separation import LENGTHS, SIZES
 from facets import Convex, separations_along, separations_of_edges, separations_of_planes
 from nonsmooth_scenes import rigid
+from polyhedron_separation import PolyhedronSeparation
 from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
@@ -187,3 +192,65 @@ def test_reference_has_the_largest_separation_of_all_planes_and_edges(device):
                     edges_found += 1
     assert edges_found > 70
     assert faces_found > 300
+
+
+#: Curved solids with the sizes of ``SIZES``, and convex meshes in which they are, or of about their size.
+CURVED = {
+    "sphere": wc.shapes.Sphere(SIZES["sphere"]),
+    "capsule": wc.shapes.Capsule(*SIZES["capsule"]),
+    "cylinder": wc.shapes.Cylinder(*SIZES["cylinder"]),
+    "cone": wc.shapes.Cone(*SIZES["cone"]),
+    "ellipsoid": wc.shapes.Ellipsoid(SIZES["ellipsoid"]),
+}
+AROUND = {
+    "hull": cloud(40, 20),
+    "plate": cloud(60, 21, (1, 1, 0.1)),
+    "needle": cloud(60, 22, (0.05, 0.08, 1)),
+    "barrel": barrel(12, 6),
+    "rounded": rounded(120, 23),
+    "box": wc.meshes.box((0.3, 0.5, 0.2)),
+    "small hull": cloud(14, 24, (0.12, 0.1, 0.15)),
+}
+
+
+def test_deep_curved_solid_has_the_largest_separation_of_all_planes(device):
+    """At first without a previous step, then with a previous step in another pose."""
+    envs, rounds = 24, 2
+    scene = wc.Scene(gravity=(0, 0, 0))
+    pairs = [(kind, name) for kind in CURVED for name in AROUND]
+    contacts = []
+    for i, (kind, name) in enumerate(pairs):
+        body = scene.add_body(1.0, (1, 1, 1), name=f"body{i}", motion=Still())
+        solids = scene.add_shape(body, CURVED[kind]), scene.add_surface(AROUND[name])
+        contacts.append(scene.add_body_contact(*solids, rigid(), name=f"touch{i}"))
+    model = scene.build(envs=envs, device=device, precision="float64")
+    sim = wc.Simulation(model, dt=1e-12, integrator=wc.integrators.MoreauJean())
+    [manifolds] = [found for found, _, _ in model.nonsmooth._manifold_sets.values()]
+    references = {name: PolyhedronSeparation(mesh.vertices, mesh.faces) for name, mesh in AROUND.items()}
+    rng = np.random.default_rng(1)
+    for number in range(rounds):
+        places = []
+        for i, (_, name) in enumerate(pairs):
+            # Any points inside the mesh, most of them far from its vertices.
+            vertices = references[name].vertices
+            positions = rng.dirichlet(np.full(len(vertices), 0.1), envs) @ vertices
+            turns = Rotation.random(envs, random_state=rng)
+            places.append((positions, turns.as_matrix()))
+            model[f"body{i}.position"] = positions
+            model[f"body{i}.orientation"] = turns.as_quat()
+        sim.step(1)
+        gaps, normals = manifolds.points.gap.numpy(), manifolds.points.normal.numpy()
+        for i, (kind, name) in enumerate(pairs):
+            slots = manifolds.contacts[contacts[i]][1]
+            reference = references[name]
+            size = min(LENGTHS[kind], np.ptp(reference.vertices, axis=0).max())
+            for env, (position, rotation) in enumerate(zip(*places[i], strict=True)):
+                case = f"{kind} in {name}, round {number}, environment {env}"
+                own = gaps[env, slots]
+                assert not np.isnan(own).all(), case
+                deepest = np.nanargmin(own)
+                found = reference.along(kind, position, rotation, normals[env, slots][deepest][None])[0]
+                # Faces whose separations differ by up to 10⁻⁶ of the size have points, too.
+                assert found > reference.of_faces(kind, position, rotation)[0] - 2e-6 * size, case
+                # Points above a face may be higher than the lowest one.
+                assert -1e-10 < own[deepest] - found < BIAS * size + 1e-10, case

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from convex_separation import SIZES, excess
+from convex_separation import LENGTHS, SIZES, excess
 from nonsmooth_scenes import rigid
 from polyhedron_separation import PolyhedronSeparation
 from scipy.spatial import ConvexHull
@@ -20,8 +20,6 @@ FORMS = {
     "cone": wc.shapes.Cone(*SIZES["cone"]),
     "ellipsoid": wc.shapes.Ellipsoid(SIZES["ellipsoid"]),
 }
-#: Largest edges of their bounding boxes [m].
-LENGTHS = {"sphere": 0.2, "capsule": 0.4, "cylinder": 0.3, "cone": 0.25, "ellipsoid": 0.24}
 #: Gaps of the poses, of which the last one is out of reach, and the margin [m].
 GAPS, MARGIN = np.array([-5e-3, -2e-3, -2e-4, -1e-5, -1e-7, 1e-5, 2e-4, 8e-4, 5e-3]), 1e-3
 #: Distances relative to the size by which faces are preferred to edges, and points of a face may be higher than the lowest one.

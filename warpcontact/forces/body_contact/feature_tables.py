@@ -27,7 +27,7 @@ def declare_features(
         purpose: Their purpose, for memory estimates.
     """
     names = (
-        "corner", "neighbor", "vertex_plane", "plane_neighbor", "edge", "face_edge", "face_plane", "plane_face", "box_plane",
+        "corner", "neighbor", "vertex_plane", "edge", "face_edge", "face_plane", "plane_face", "box_plane",
     )  # fmt: skip
     columns: dict[str, list[NDArray[np.int32]]] = {name: [] for name in names}
     counts: dict[str, list[NDArray[np.int64]]] = {
@@ -36,7 +36,6 @@ def declare_features(
             "corner",
             "neighbor",
             "vertex_plane",
-            "plane_neighbor",
             "edge",
             "plane",
             "outline",
@@ -80,12 +79,6 @@ def declare_features(
         at_vertices = np.unique(at_vertices[: None if own.is_convex else 0], axis=0)
         columns["vertex_plane"].append(at_vertices[:, 1] + plane_count)
         counts["vertex_plane"].append(np.bincount(at_vertices[:, 0], minlength=vertices))
-        # Planes on both sides of an edge, each pair once.
-        beside = own.face_planes[own.edges[:, 2:]][: None if own.is_convex else 0]
-        beside = beside[beside[:, 0] != beside[:, 1]]
-        beside = np.unique(np.concatenate([beside, beside[:, ::-1]]), axis=0)
-        columns["plane_neighbor"].append(beside[:, 1] + plane_count)
-        counts["plane_neighbor"].append(np.bincount(beside[:, 0], minlength=len(faces_of_planes)))
         face_outlines.append(np.stack([faces[used] + vertex_count, own.face_edges[used] + edge_count]))
         counts["outline"].append(used.sum(axis=1))
         outlines = np.split(in_planes + face_count, np.cumsum(faces_of_planes))[:-1]
