@@ -12,7 +12,6 @@ from warpcontact.kernels.body_contact.polygons import (
     corner,
     cut,
     polygon_area,
-    sample_of_polygon,
     set_corner,
     stored,
 )
@@ -210,26 +209,47 @@ def deepest_inside(
     planes: wp.array2d(dtype=double),
     plane_count: int,
     face: BaseFace,
+    heights: wp.array2d(dtype=double),
     deepest: double,
 ):
     """Returns the largest distance of a point of a face from the nearest plane around it, at least ``deepest`` [m].
 
-    It is evaluated at corners, midpoints of edges and the center.
+    ``heights``: room for the smallest distance of each plane from the face.
     """
     # The distance from the nearest plane is at most that from any plane, which is largest at a corner.
+    bound = INFINITE
     for plane in range(plane_count):
+        least = INFINITE
         largest = -INFINITE
         for i in range(face.base.count):
-            largest = wp.max(largest, height_inside(planes, plane, corner(corners, face.base, i)))
+            height = height_inside(planes, plane, corner(corners, face.base, i))
+            least = wp.min(least, height)
+            largest = wp.max(largest, height)
         if largest <= deepest:
             return deepest
-    middle = centroid(corners, face.base, face.direction)
-    for i in range(2 * face.base.count + 1):
-        point = sample_of_polygon(corners, face.base, middle, i)
-        depth = INFINITE
-        for plane in range(plane_count):
-            depth = wp.min(depth, height_inside(planes, plane, point))
-        deepest = wp.max(deepest, depth)
+        heights[plane, 0] = least
+        bound = wp.min(bound, largest)
+    # Where one plane is the nearest, the distance is affine, and largest at a corner of that part of the face.
+    for nearest in range(plane_count):
+        if heights[nearest, 0] > bound:
+            continue
+        polygon = face.base
+        normal = plane_normal(planes, nearest)
+        offset = planes[nearest, 3]
+        # One call of ``cut``, which compilers inline: at the depth so far, and at the other planes.
+        for number in range(-1, plane_count):
+            factors = -normal
+            distance = offset - deepest
+            if number >= 0:
+                if number == nearest or heights[number, 0] > bound:
+                    continue
+                factors = normal - plane_normal(planes, number)
+                distance = planes[number, 3] - offset
+            polygon = cut(corners, polygon, factors, distance)
+            if polygon.count == 0:
+                break
+        for i in range(polygon.count):
+            deepest = wp.max(deepest, height_inside(planes, nearest, corner(corners, polygon, i)))
     return deepest
 
 

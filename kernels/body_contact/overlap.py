@@ -1,8 +1,8 @@
 """Depth of the overlap of two solids, which of them is the reference, and the weight of columns.
 
-The depth D is the largest distance of a point of either surface inside the other solid from the surface of that solid. The
-weight w of a column is 1 up to t = 2 D and 0 from t = 4 D on: columns on side walls run along the overlap, not across it,
-and do not count.
+The depth D is the largest distance of a point of either surface inside the other solid from the surface of that solid, among
+samples of the surface if the other solid has more than ``MAX_PLANES`` planes. The weight w of a column is 1 up to t = 2 D and
+0 from t = 4 D on: columns on side walls run along the overlap, not across it, and do not count.
 
 Columns stand on the faces of both solids. Those on the second solid have a share that grows with the deviation from flatness
 of the surface of the first solid in the overlap: the area inside the other solid, less the length of its area vector. So the
@@ -293,7 +293,7 @@ def overlap_of(
                     if base.area == double(0.0):
                         continue
                     overlap.area = base.area
-                    overlap.depth = deepest_inside(corners, planes, plane_count, base, result.depth)
+                    overlap.depth = deepest_inside(corners, planes, plane_count, base, exits, result.depth)
                     overlap.least = store_exits(corners, planes, plane_count, base, exits)
                 else:
                     overlap = overlap_of_face(
