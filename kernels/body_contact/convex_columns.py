@@ -229,7 +229,7 @@ def deepest_inside(
             return deepest
         heights[plane, 0] = least
         bound = wp.min(bound, largest)
-    # Where one plane is the nearest, the distance is affine, and largest at a corner of that part of the face.
+    # On the part of a face with one nearest plane, the distance is affine, and largest at a corner.
     for nearest in range(plane_count):
         if heights[nearest, 0] > bound:
             continue
