@@ -13,6 +13,7 @@ from warpcontact.kernels.body_contact.column_sums import (
     with_sample,
 )
 from warpcontact.kernels.body_contact.columns import (
+    DOWN,
     ColumnFrame,
     FaceFrame,
     column_polygon,
@@ -40,7 +41,9 @@ from warpcontact.kernels.body_contact.polygons import (
     Polygon,
     centroid,
     corner,
+    cut,
     quadrature_point,
+    stored,
     triangle_area,
 )
 from warpcontact.kernels.body_contact.records import body_contact_structs
@@ -183,6 +186,88 @@ def part_corner(first: vec3d, second: vec3d, third: vec3d, number: int, division
     return first + (double(row) * step) * (second - first) + (double(column) * step) * (third - second)
 
 
+@wp.struct
+class EntryPolygon:
+    """The base of the columns on a face that enter the other solid at one of its faces, in coordinates (u, v, t)."""
+
+    base: Polygon  # stored
+    turn: double  # 1 if its corners are counter-clockwise in (u, v), otherwise −1
+    normal: vec3d  # of the plane of entry, into the other solid
+    offset: double  # normal · (u, v, t) + offset ≥ 0 beyond the entry [m]
+
+
+@wp.func
+def entry_polygon(
+    corners: wp.array2d(dtype=double),
+    geometries: Geometries,
+    face_plane: FaceFrame,
+    other: SolidGeometry,
+    face: int,
+    deepest: double,
+):
+    """Returns the ``EntryPolygon`` of a face of the other solid for columns of a length up to ``deepest`` [m]."""
+    entry = EntryPolygon()
+    polygon = column_polygon(corners, geometries, face_plane, other, face, -ramp_height(other), deepest)
+    if polygon.count == 0:
+        return entry
+    entry.base = stored(corners, polygon)
+    entry.normal = -(face_plane.projection * geometries.normal[face])
+    entry.offset = -wp.dot(entry.normal, corner(corners, entry.base, 0))
+    area = double(0.0)
+    first = corner(corners, entry.base, 0)
+    for i in range(1, entry.base.count - 1):
+        area += triangle_area(first, corner(corners, entry.base, i), corner(corners, entry.base, i + 1), DOWN)
+    entry.turn = wp.where(area < double(0.0), double(-1.0), double(1.0))
+    return entry
+
+
+@wp.func
+def box_beyond(corners: wp.array2d(dtype=double), entry: EntryPolygon, deepest: double):
+    """Returns the box of the columns beyond an entry up to a depth, in coordinates (u, v, t)."""
+    box = BoundingBox()
+    box.lower = corner(corners, entry.base, 0)
+    box.upper = box.lower
+    for i in range(1, entry.base.count):
+        box.lower = wp.min(box.lower, corner(corners, entry.base, i))
+        box.upper = wp.max(box.upper, corner(corners, entry.base, i))
+    box.upper[2] = deepest
+    return box
+
+
+@wp.func
+def polygon_beyond(
+    corners: wp.array2d(dtype=double),
+    geometries: Geometries,
+    face_plane: FaceFrame,
+    other: SolidGeometry,
+    entry: EntryPolygon,
+    face: int,
+    shallowest: double,
+    deepest: double,
+):
+    """Returns the part of an entry whose columns cross another face of the solid beyond it, at a depth within two limits.
+
+    Its weight is negative: columns to that face are subtracted if they leave there, and added if they enter again.
+    """
+    polygon = column_polygon(corners, geometries, face_plane, other, face, shallowest, deepest)
+    if polygon.count == 0:
+        return polygon
+    # One call of ``cut``, which compilers inline: at the plane of entry, and at its edges.
+    for number in range(-1, entry.base.count):
+        factors = entry.normal
+        offset = entry.offset
+        if number >= 0:
+            start = corner(corners, entry.base, number)
+            along = corner(corners, entry.base, (number + 1) % entry.base.count) - start
+            factors = entry.turn * vec3d(-along[1], along[0], double(0.0))
+            offset = -wp.dot(factors, start)
+        polygon = cut(corners, polygon, factors, offset)
+        if polygon.count == 0:
+            return polygon
+    polygon.weight = -polygon.weight * entry.base.weight
+    return polygon
+
+
 @functools.cache
 def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints: bool) -> wp.Function:
     """Returns the device function that adds the columns on one face of a side.
@@ -231,7 +316,7 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
         normals: wp.array2d(dtype=double),
         patch_rows: wp.array2d(dtype=double),
     ):
-        """Adds the columns on a polygon; those that enter the other solid are subtracted."""
+        """Adds the columns on a polygon, or subtracts them, down to the next exit, if they enter the other solid there."""
         triangles = polygon.count
         center = corner(corners, polygon, 0)
         if wp.static(is_exact):
@@ -247,7 +332,7 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
         in_polygon = PieceSums()
         # Not a constant, so that its loop is not unrolled.
         rule_size = wp.int32(RULE_SIZE)
-        # Columns leave through several faces after an entry: the polygon is divided into parts of the size of depths.
+        # Columns may leave through several faces after an entry: the polygon is divided into parts of the size of depths.
         divisions = wp.int32(1)
         if is_entry and not side.half_space:
             divisions = divisions_of(corners, polygon, overlap.depth)
@@ -305,6 +390,68 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                 pair, in_polygon, frame.to_W, frame.origin, into_own, side.kappa, normal, patch, sums, normals,
                 patch_rows,
             )  # fmt: skip
+        return sums
+
+    @wp.func(inline=False)
+    def add_beyond_entry(
+        model: Model,
+        state: State,
+        env: int,
+        dt: real,
+        pair: Pair,
+        motion: RelativeMotion,
+        geometries: Geometries,
+        side: ColumnSide,
+        overlap: Overlap,
+        face_plane: FaceFrame,
+        frame: ColumnFrame,
+        face: int,
+        normal: vec3d,
+        patch: int,
+        corners: wp.array2d(dtype=double),
+        pending: wp.array(dtype=wp.int32),
+        bottom: int,
+        coefficients: Coefficients,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
+        body_contacts: BodyContacts,
+        sums: ColumnSums,
+        normals: wp.array2d(dtype=double),
+        patch_rows: wp.array2d(dtype=double),
+    ):
+        """Subtracts the columns that enter the other solid at ``face``, down to the next exit.
+
+        They are those to all exits beyond, less those beyond further entries. Depths are affine on each part, but beyond further
+        entries, where they are sampled.
+        """
+        longest = NO_WEIGHT * overlap.depth
+        entry = entry_polygon(corners, geometries, face_plane, side.other, face, longest)
+        if entry.base.count == 0:
+            return sums
+        box = box_beyond(corners, entry, longest)
+        top = start_traversal(pending, bottom, side.other)
+        while top > bottom:
+            leaf = next_leaf_in_box(pending, bottom, top, geometries, side.other, pose_in_face(face_plane), box)
+            top = leaf.top
+            # Each face twice: the weight is a polynomial below and above FULL_WEIGHT × D.
+            for number in range(2 * leaf.first_face, 2 * leaf.end_face):
+                beyond = number // 2
+                if beyond == face:
+                    continue
+                shallowest = box.lower[2]
+                deepest = FULL_WEIGHT * overlap.depth
+                if number % 2 == 1:
+                    shallowest = deepest
+                    deepest = longest
+                polygon = polygon_beyond(
+                    corners, geometries, face_plane, side.other, entry, beyond, shallowest, deepest
+                )
+                if polygon.count > 0:
+                    sums = add_polygon(
+                        model, state, env, dt, pair, motion, geometries, side, overlap, face_plane, frame, polygon,
+                        not is_exit(geometries, face_plane, beyond), normal, patch, corners, pending, top, coefficients,
+                        history_in, history_out, body_contacts, sums, normals, patch_rows,
+                    )  # fmt: skip
         return sums
 
     @wp.func
@@ -379,6 +526,13 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                 is_entry = wp.bool(False)
                 if not side.by_planes:
                     is_entry = not is_exit(geometries, face_plane, exit)
+                    if is_entry and not side.half_space:
+                        sums = add_beyond_entry(
+                            model, state, env, dt, pair, motion, geometries, side, overlap, face_plane, frame, exit,
+                            normal, patch, corners, pending, top, coefficients, history_in, history_out, body_contacts,
+                            sums, normals, patch_rows,
+                        )  # fmt: skip
+                        continue
                 elif exits[exit, 0] >= NO_WEIGHT * overlap.depth:
                     continue
                 # The weight is a polynomial below and above FULL_WEIGHT × D.
@@ -391,8 +545,6 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                     elif part == 1:
                         shallowest = deepest
                         deepest = NO_WEIGHT * overlap.depth
-                    elif is_entry:
-                        shallowest = -ramp_height(side.other)
                     polygon = Polygon()
                     if side.by_planes:
                         polygon = exit_polygon(

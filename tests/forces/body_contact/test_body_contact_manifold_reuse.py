@@ -343,21 +343,21 @@ def test_slow_rolling_is_neither_driven_nor_braked(device):
         np.testing.assert_allclose(found, speeds, atol=1e-9, err_msg=name)
 
 
-#: Height of the second foot of the table above the floor [m]: within the margin g dt² of the long steps, and not of the short ones.
+#: Height of the end of the fourth leg of the table above the floor [m]: within the margin g dt² of the long steps, and not of the short ones.
 RAISED = 2e-3
 
 
-def table_with_a_short_foot(device):
-    """Returns a model of a table at rest on three feet of a mesh; the fourth one ends above the floor."""
+def table_with_a_short_leg(device):
+    """Returns a model of a table at rest on three legs of a mesh; the fourth one ends above the floor."""
     scene = wc.Scene(gravity=(0, 0, -G))
     vertices, faces = [], []
     for x, y in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
-        foot = wc.meshes.box((0.02, 0.02, 0.1))
+        leg = wc.meshes.box((0.02, 0.02, 0.1))
         bottom = RAISED if (x, y) == (1, 1) else 0.0
-        faces.append(np.array(foot.faces) + sum(len(one) for one in vertices))
-        vertices.append(foot.vertices + np.array([0.1 * x, 0.1 * y, 0.05 + bottom]))
+        faces.append(np.array(leg.faces) + sum(len(one) for one in vertices))
+        vertices.append(leg.vertices + np.array([0.1 * x, 0.1 * y, 0.05 + bottom]))
     mesh = wc.Mesh(np.concatenate(vertices), np.concatenate(faces))
-    # The center of mass is above the triangle of the three feet.
+    # The center of mass is above the triangle of the three legs.
     table = scene.add_body(1.0, (1e-2,) * 3, name="table")
     solid = scene.add_surface(mesh, table, position=(0.05, 0.05, 0.0))
     scene.add_body_contact(solid, scene.add_shape(None, wc.shapes.Plane()), rigid(mu=0.5), name="touch")
@@ -366,7 +366,7 @@ def table_with_a_short_foot(device):
 
 def test_points_are_searched_again_after_a_change_of_the_step_length(device):
     """A longer step has a larger margin, so that a point that was too far away is found, and lost again with the shorter step."""
-    model = table_with_a_short_foot(device)
+    model = table_with_a_short_leg(device)
     sims = {dt: wc.Simulation(model, dt=dt, integrator=wc.integrators.MoreauJean()) for dt in (1e-3, 2e-2)}
     for dt, highest in ((1e-3, 0.0), (2e-2, RAISED), (1e-3, 0.0), (2e-2, RAISED)):
         for origin in (SEARCHED, REUSED, REUSED):

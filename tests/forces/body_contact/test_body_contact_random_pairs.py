@@ -195,15 +195,28 @@ def changes_on_a_path(model, pair, path):
     return np.array(found)
 
 
+def random_sweep(rng, meshes, device):
+    """Returns a random pair, a path, and a model with an environment for each place of a sweep."""
+    pair = random_pair(rng, meshes)
+    path = 0.03 * pair[-1] * rng.uniform(-1, 1, 3), rng.uniform(-0.1, 0.1, 3)
+    return pair, path, overlapping(pair, device, envs=STEPS + 1, free=True)
+
+
+def test_force_of_columns_that_enter_a_mesh_does_not_jump(device):
+    """A torus and a ring, in whose overlap columns enter a solid, and leave it through several faces that hide each other."""
+    meshes = {name: unit_mesh(make()) for name, make in SHAPES.items()}
+    pair, path, model = random_sweep(np.random.default_rng(9), meshes, device)
+    changes = changes_on_a_path(model, pair, path)
+    assert 0.0 < changes[2] < NO_JUMP * changes[0]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_forces_of_random_pairs_balance_and_do_not_jump(seed, shared, times, device):
     meshes, rng, touching = all_meshes(shared), np.random.default_rng(20 + seed), 0
     for number in range(10 * times):
-        pair = random_pair(rng, meshes)
+        pair, path, model = random_sweep(rng, meshes, device)
         size = pair[-1]
-        path = 0.03 * size * rng.uniform(-1, 1, 3), rng.uniform(-0.1, 0.1, 3)
-        model = overlapping(pair, device, envs=STEPS + 1, free=True)
         changes = changes_on_a_path(model, pair, path)
         if changes[0] == 0.0:
             continue
