@@ -248,5 +248,16 @@ def _merged_pairs(
 
 
 def _quadrilaterals(outline: list[int]) -> list[list[int]]:
-    """Returns a convex polygon divided into quadrilaterals, and a triangle if its number of vertices is odd."""
-    return [[outline[0], *outline[i : i + 3]] for i in range(1, len(outline) - 1, 2)]
+    """Returns a convex polygon divided into quadrilaterals and triangles, the middle one first.
+
+    Those at the outline have three edges of it, those next to them have three edges of what remains, and so on. So each meets few
+    parts of another polygon that is divided likewise; all parts around one corner would meet each other.
+    """
+    parts = []
+    while len(outline) > 4:
+        closed = [*outline, outline[0]]
+        parts += [part for i in range(0, len(outline), 3) if len(part := closed[i : i + 4]) > 2]
+        outline = outline[::3]
+    if len(outline) > 2:
+        parts.append(outline)
+    return parts[::-1]
