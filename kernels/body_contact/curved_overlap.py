@@ -123,7 +123,7 @@ def depth_inside(
                 depth, plane_offset(geometries, other, face) - wp.dot(geometries.normal[face], position)
             )
         return wp.max(depth, double(0.0))
-    depth = distance_to_surface(pending, bottom, geometries, other, position, limit)
+    depth = distance_to_surface(pending, bottom, geometries, other, position, limit, double(0.0))
     if is_inside_solid(pending, bottom, geometries, other, position, direction):
         return depth
     return double(0.0)

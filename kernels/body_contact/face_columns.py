@@ -48,6 +48,7 @@ from warpcontact.kernels.body_contact.polygons import (
 )
 from warpcontact.kernels.body_contact.records import body_contact_structs
 from warpcontact.kernels.body_contact.solids import (
+    CONVEX,
     FEW_PLANES,
     HALF_SPACE,
     Geometries,
@@ -436,7 +437,8 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
             # Each face twice: the weight is a polynomial below and above FULL_WEIGHT × D.
             for number in range(2 * leaf.first_face, 2 * leaf.end_face):
                 beyond = number // 2
-                if beyond == face:
+                re_enters = not is_exit(geometries, face_plane, beyond)
+                if beyond == face or (re_enters and (side.other.flags & CONVEX) != 0):
                     continue
                 shallowest = box.lower[2]
                 deepest = FULL_WEIGHT * overlap.depth
@@ -449,7 +451,7 @@ def add_face(contact_model: ContactModel, real: type, per_area: bool, has_joints
                 if polygon.count > 0:
                     sums = add_polygon(
                         model, state, env, dt, pair, motion, geometries, side, overlap, face_plane, frame, polygon,
-                        not is_exit(geometries, face_plane, beyond), normal, patch, corners, pending, top, coefficients,
+                        re_enters, normal, patch, corners, pending, top, coefficients,
                         history_in, history_out, body_contacts, sums, normals, patch_rows,
                     )  # fmt: skip
         return sums

@@ -203,8 +203,11 @@ def distance_to_surface(
     solid: SolidGeometry,
     position: vec3d,
     limit: double,
+    enough: double,
 ):
     """Returns the distance of a point from the surface of a solid, or ``limit`` if it is larger [m].
+
+    If it is at most ``enough``, a distance between it and ``enough`` is returned.
 
     Args:
         pending: Pending nodes of the thread.
@@ -213,6 +216,7 @@ def distance_to_surface(
         solid: The solid.
         position: The point, in the frame of the solid [m].
         limit: Largest distance that matters [m].
+        enough: Distance at which the search ends [m].
     """
     least = limit
     top = start_traversal(pending, bottom, solid)
@@ -228,6 +232,8 @@ def distance_to_surface(
         if child < 0:
             for face in range(node[1], node[2]):
                 least = wp.min(least, distance_to_face(geometries, solid, face, position))
+            if least <= enough:
+                return least
             continue
         # The nearer child is next.
         first = distance_from_box(

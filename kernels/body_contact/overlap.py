@@ -115,7 +115,7 @@ def deepest_of(
             limit = point[2]
             if is_inside:
                 limit = INFINITE
-            depth = distance_to_surface(pending, bottom, geometries, other, position, limit)
+            depth = distance_to_surface(pending, bottom, geometries, other, position, limit, deepest)
             if depth <= deepest:
                 continue
             if not is_inside:
@@ -183,7 +183,7 @@ def overlap_of_face(
     radius = double(0.5) * wp.length(frame.upper - frame.lower)
     to_other = wp.transpose(pose.rotation)
     position = to_other * (position_on_face(frame, middle[0], middle[1]) - pose.origin)
-    distance = distance_to_surface(pending, bottom, geometries, other, position, INFINITE)
+    distance = distance_to_surface(pending, bottom, geometries, other, position, INFINITE, double(0.0))
     is_whole = distance >= radius
     if is_whole and not is_inside_solid(pending, bottom, geometries, other, position, -(to_other * frame.normal)):
         return result

@@ -17,6 +17,7 @@ double = wp.float64
 HALF_SPACE = 1  # z ≤ 0; it has one face without vertices
 HAS_BOUNDARY = 2  # a surface with a boundary; only its own faces carry columns
 FEW_PLANES = 4  # convex, with at most MAX_PLANES planes
+CONVEX = 8  # a convex polyhedron
 #: Largest number of planes of a convex solid by which faces are cut.
 MAX_PLANES = 8
 
@@ -38,7 +39,9 @@ class Geometries:
     node_lower: wp.array(dtype=wp.vec3d)  # [node] [unit of the geometry]
     node_upper: wp.array(dtype=wp.vec3d)
     root: wp.array(dtype=wp.int32)  # [geometry] node
-    flags: wp.array(dtype=wp.int32)  # [geometry] HALF_SPACE, HAS_BOUNDARY, FEW_PLANES; kind of a curved solid
+    flags: wp.array(
+        dtype=wp.int32
+    )  # [geometry] HALF_SPACE, HAS_BOUNDARY, FEW_PLANES, CONVEX; kind of a curved solid
     center: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]
     half_extents: wp.array(dtype=wp.vec3d)  # [geometry] of its bounding box [unit of the geometry]
 

@@ -153,3 +153,28 @@ def test_pressures_of_two_moduli_balance(shared, device):
         np.testing.assert_allclose(found.force[0], case["force"], rtol=case["rel_tol"], atol=1e-6)
         np.testing.assert_allclose(found.center[0, 2], case["surface_z"], rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(found.max_pressure[0], case["max_pressure"], rtol=case["rel_tol"])
+
+
+def test_columns_that_enter_a_convex_mesh_at_its_sides_leave_at_its_base(device):
+    """A cone stands in a box. Columns outside of its section with the top of the box would enter it from the side."""
+    corners, radius, height = 48, 0.05, 0.1
+    angles = 2 * np.pi * np.arange(corners) / corners
+    rim = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.zeros(corners)])
+    vertices = np.vstack([rim, [[0.0, 0.0, 0.0], [0.0, 0.0, height]]])
+    along = [(i, (i + 1) % corners) for i in range(corners)]
+    faces = [(b, a, corners) for a, b in along] + [(a, b, corners + 1) for a, b in along]
+    depths = np.array([1e-6, 1e-4, 1e-3, 5e-3])
+    scene = wc.Scene(gravity=(0, 0, 0))
+    body = scene.add_body(mass=1.0, inertia=(1, 1, 1), name="body")
+    cone = scene.add_surface(wc.Mesh(vertices, faces), body=body)
+    box = scene.add_shape(None, wc.shapes.RoundedBox((0.3, 0.3, 0.05)), position=(0, 0, -0.05))
+    law = wc.laws.ElasticFoundation(stiffness=1e9)
+    scene.add_body_contact(cone, box, wc.ContactMaterial(law=law), name="press", reference="second")
+    model = scene.build(envs=len(depths), device=device, precision="float64")
+    model["body.position"] = np.outer(depths, [0.0, 0.0, -1.0])
+    model.evaluate()
+    # The section is a regular polygon; below it all columns have the same depth.
+    section = corners / 2 * np.sin(2 * np.pi / corners) * (radius * (1 - depths / height)) ** 2
+    # Faces that columns enter count partly within 1e-9 of the size of the solid: 9e-11 m times the length of the boundary over the area.
+    np.testing.assert_allclose(model.sensor("press.area"), section, rtol=4e-9)
+    np.testing.assert_allclose(model.sensor("press.force")[:, 2], 1e9 * depths * section, rtol=4e-9)

@@ -12,6 +12,7 @@ from warpcontact.forces.body_contact.feature_tables import declare_features
 from warpcontact.geometry.polyhedron import Polyhedron
 from warpcontact.geometry.polyhedron_features import has_convex_features
 from warpcontact.kernels.body_contact.solids import (
+    CONVEX,
     FEW_PLANES,
     HALF_SPACE,
     HAS_BOUNDARY,
@@ -214,7 +215,8 @@ class SolidTables:
                 for name, values in zip(("normal", "u_axis", "offset"), geometry.planes(), strict=True):
                     tables[name].append(values)
                 few = len(geometry.plane_faces) <= MAX_PLANES and geometry.is_convex
-                tables["flags"].append(HAS_BOUNDARY * (not geometry.is_closed) | FEW_PLANES * few)
+                flags = HAS_BOUNDARY * (not geometry.is_closed) | FEW_PLANES * few | CONVEX * geometry.is_convex
+                tables["flags"].append(flags)
                 planes = geometry.plane_faces
                 lower, upper = geometry.bounds
                 nodes, boxes = geometry.tree.nodes, (geometry.tree.lower, geometry.tree.upper)
