@@ -122,3 +122,26 @@ def test_more_normals_than_friction_patches_lose_no_force(device):
     # Springs of the walls hold the body back, with up to μ N.
     friction = model.sensor("fit.friction_force")[0, 2]
     assert 0.0 < friction <= 0.3 * model.sensor("fit.normal_force")[0]
+
+
+def test_run_warns_of_deep_nonsmooth_contacts(device):
+    """A box that starts 2 mm in the floor remains there, unless its overlap is removed."""
+    depths = np.array([0.0, 0.5e-3, 2e-3])
+    found = []
+    for recovery_time in (None, 5e-3):
+        scene = wc.Scene()
+        box = scene.add_body(mass=1.0, inertia=(1e-3,) * 3, name="box")
+        shape = scene.add_shape(box, wc.shapes.RoundedBox((0.05,) * 3), name="sides")
+        floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
+        scene.add_body_contact(shape, floor, wc.ContactMaterial(law=wc.laws.Rigid()), name="touch")
+        model = scene.build(envs=3, device=device)
+        model["box.position"] = np.column_stack([np.zeros((3, 2)), 0.05 - depths])
+        integrator = wc.integrators.MoreauJean(recovery_time=recovery_time)
+        with warnings.catch_warnings(record=True) as issued:
+            warnings.simplefilter("always")
+            wc.Simulation(model, 1e-3, integrator).run(0.05, ["touch.depth"], every=0.05)
+        found.append([str(one.message) for one in issued if "at the end of the run" in str(one.message)])
+    assert len(found[0]) == 1
+    for part in ("touch: sides and floor overlap by 0.00", "2 % of the size", "environment 2", "recovery_time"):
+        assert part in found[0][0]
+    assert not found[1]

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from warpcontact.forces.body_contact.body_sums import sum_warnings
 from warpcontact.forces.body_contact.curved_shapes import is_curved
 from warpcontact.forces.body_contact.manifold_set import ManifoldSet
-from warpcontact.forces.body_contact.overlap_warnings import body_overlap_warnings, overlaps_may_eject
+from warpcontact.forces.body_contact.overlap_warnings import (
+    body_overlap_warnings,
+    deep_contact_warnings,
+    overlaps_may_eject,
+)
 from warpcontact.forces.body_contact.solid_tables import SolidTables
 from warpcontact.forces.body_contact.step_warnings import PairEstimates, pair_estimates, pair_warnings
 from warpcontact.forces.contact_groups import add_material_parameters, compile_force_kernel
@@ -311,6 +315,12 @@ class BodyContactSet(ForceElement):
             f"compliant=[{name!r}]; {name}.overflow counts such steps"
         )
         return RunWarning(text, WarningLevel.CAUTION)
+
+    def final_warnings(self, model: "Environments") -> list[RunWarning]:
+        """Returns a warning about nonsmooth contacts that are deep at the end of a run."""
+        if self.active_manifolds is None:
+            return []
+        return deep_contact_warnings(model, self.tables, list(self.active_manifolds.contacts))
 
     def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
         """Returns whether some contacts are nonsmooth, or bodies might overlap enough to be ejected."""

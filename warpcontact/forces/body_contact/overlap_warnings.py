@@ -1,4 +1,4 @@
-"""Warnings about bodies that start in overlap: compliant body contact ejects them.
+"""Warnings about overlap: bodies that compliant body contact ejects at the start, and deep nonsmooth contacts at the end of a run.
 
 The elastic energy of a pair is K h^(n+1)/(n+1), with the mean depth h of its columns, times the area if the law is a pressure. The part
 e² of it becomes kinetic energy of both bodies, in proportion to their mobility. Overlaps are evaluated only if those of the bounding
@@ -16,13 +16,17 @@ from warpcontact.forces.body_contact.step_warnings import PairEstimates, is_mova
 from warpcontact.forces.contact_warnings import column_of, expected_speed
 from warpcontact.scene.elements import Body
 from warpcontact.validation.checks import Array
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
 if TYPE_CHECKING:
     from warpcontact.forces.body_contact.solid_tables import SolidTables
     from warpcontact.model.environments import Environments
+    from warpcontact.scene.body_contact import BodyContact
 
 # Ratio of ejection speed and expected speed above which a warning is issued.
 _EXCESS = 2.0
+# Depth of a nonsmooth contact over the size of the smaller solid above which a warning is issued.
+_DEEP = 0.01
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,31 @@ def body_overlap_warnings(model: "Environments", estimates: Sequence[PairEstimat
         f"{model.first_env + env}. The contact force will eject {body.name} at about {found.speed[env, number]:.3g} m/s. "
         "Start outside, or at the depth at rest"
     ]
+
+
+def deep_contact_warnings(
+    model: "Environments", tables: "SolidTables", contacts: Sequence["BodyContact"]
+) -> list[RunWarning]:
+    """Returns a warning about the deepest pair of nonsmooth contacts, relative to the size of its smaller solid, if it is deep."""
+    worst = None
+    for contact in contacts:
+        depth = column_of_sensor(model, f"{contact.name}.depth")
+        for number, pair in enumerate(contact.pairs):
+            sizes = [2.0 * tables.bounding_box(model, solid)[1].max(axis=1) for solid in pair]
+            ratio = np.nan_to_num(depth[:, number] / np.minimum(*sizes))
+            env = int(ratio.argmax())
+            if ratio[env] > _DEEP and (worst is None or ratio[env] > worst[0]):
+                worst = ratio[env], env, depth[env, number], contact, pair
+    if worst is None:
+        return []
+    ratio, env, deepest, contact, pair = worst
+    text = (
+        f"{contact.name}: {pair[0].name} and {pair[1].name} overlap by {deepest:.3g} m at the end of the run, "
+        f"{100.0 * ratio:.2g} % of the size of the smaller one, in environment {model.first_env + env}. Impulses stop bodies but do "
+        "not separate them: overlap at the start remains, and rolling ellipsoids and cones sink a little in each step. Set "
+        "recovery_time of MoreauJean, for example to 20 steps, use theta=1, or start outside"
+    )
+    return [RunWarning(text, WarningLevel.CAUTION)]
 
 
 def column_of_sensor(model: "Environments", name: str) -> Array:
