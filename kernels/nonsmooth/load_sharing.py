@@ -9,13 +9,18 @@ So the warm starts of two bodies with several contacts of similar normals are cl
 violates the contact law by more than ``MAX_RESIDUAL`` although the last solve converged, as after an impact.
 ``START_ITERATIONS`` steps of ``accelerated.py`` then precede the first sweep and change these impulses only. Other pairs
 keep their warm starts.
+
+Solves of changing loads, such as impacts on a stack, change impulses unequally where the sum and the moments of a pair are all that
+matters. So after a solve, the impulses of four or more loaded points with one normal become those of least norm, with the same force and
+moment: normal impulses are then an affine function of the position. Tangential ones are changed only if all points stick. All
+remain as they are where a point would pull or exceed its friction cone.
 """
 
 import functools
 
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth import solver_common, velocity_update
+from warpcontact.kernels.nonsmooth import cone, solver_common, velocity_update
 from warpcontact.kernels.nonsmooth.rows import solve_types
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
 
@@ -129,3 +134,167 @@ def clear_warm_starts(real: type, has_joints: bool, rolls: bool, is_soft: bool =
             solve_result.was_cleared[env] = cleared
 
     return clear_pairs
+
+
+@functools.cache
+def equalize_loads(real: type, has_joints: bool) -> wp.Kernel:
+    """Returns the kernel that distributes the impulses of points with one normal equally; items: 1.
+
+    It changes neither velocities nor the force and torque between two bodies. ``has_joints``: some bodies have joints.
+    """
+    Rows, SolveResult, _BodyResponse, _VelocityChange = solve_types(real, has_joints)
+    vec3 = structs(real).vec3
+    basis = cone.functions(real).basis
+    zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
+    # Fraction of the limit of friction below which a point sticks, and distance from a plane over the size.
+    STICKS, IN_PLANE = wp.constant(real(0.999)), wp.constant(real(1.0e-6))
+    # 1 − cosine of normals that are equal, and determinant of positions on a line over the square of the trace.
+    PARALLEL, ON_LINE = wp.constant(real(1.0e-6)), wp.constant(real(1.0e-6))
+    # Largest change relative to the mean that is not made, so that impulses of bodies at rest stay bitwise identical.
+    EVEN = wp.constant(real(max(1.0e-6, 64.0 * structs(real).epsilon)))
+
+    @wp.func
+    def arm_of(rows: Rows, env: int, row: int):
+        """Returns the position of a row relative to the first of its bodies that is not the world."""
+        if rows[env, row].body_1 >= 0:
+            return rows[env, row].arm_1
+        return rows[env, row].arm_2
+
+    @wp.func
+    def is_loaded(rows: Rows, env: int, row: int):
+        return wp.dot(rows[env, row].impulse, rows[env, row].normal) > zero
+
+    @wp.func
+    def end_of_points(rows: Rows, env: int, first: int, count: int):
+        """Returns the end of the consecutive rows between the bodies of a row, with its normal."""
+        end = first + 1
+        while (
+            end < count
+            and rows[env, end].body_1 == rows[env, first].body_1
+            and rows[env, end].body_2 == rows[env, first].body_2
+            and wp.dot(rows[env, end].normal, rows[env, first].normal) > real(1.0) - PARALLEL
+        ):
+            end += 1
+        return end
+
+    @wp.struct
+    class SharedLoad:
+        """Impulses of least norm on loaded points with one normal, with the force and moment of the present ones."""
+
+        center: vec3  # mean of the arms, W [m]
+        normal: vec3  # W
+        load: real  # mean normal impulse [N·s]
+        slope: vec3  # of the normal impulse over the position, W [N·s/m]
+        friction: vec3  # mean tangential impulse, W [N·s]
+        twist: real  # tangential impulse per distance from the center [N·s/m]
+        changes_friction: wp.bool
+
+    @wp.func
+    def impulse_of(shared: SharedLoad, rows: Rows, env: int, row: int):
+        """Returns the impulse of a row."""
+        arm = arm_of(rows, env, row) - shared.center
+        impulse = (shared.load + wp.dot(shared.slope, arm)) * shared.normal
+        if shared.changes_friction:
+            return impulse + shared.friction + shared.twist * wp.cross(shared.normal, arm)
+        present = rows[env, row].impulse
+        return impulse + present - wp.dot(present, shared.normal) * shared.normal
+
+    @wp.func
+    def is_admissible(shared: SharedLoad, rows: Rows, env: int, first: int, end: int):
+        """Returns whether the impulses of the loaded rows from ``first`` to ``end`` push, and are within their cones."""
+        for row in range(first, end):
+            if is_loaded(rows, env, row):
+                impulse = impulse_of(shared, rows, env, row)
+                along = wp.dot(impulse, shared.normal)
+                limit = rows[env, row].mu * along
+                if along <= zero or wp.length_sq(impulse - along * shared.normal) > limit * limit:
+                    return False
+        return True
+
+    @wp.func
+    def equalize(rows: Rows, env: int, first: int, end: int):
+        """Distributes the impulses of the loaded rows from ``first`` to ``end``."""
+        shared = SharedLoad()
+        shared.normal = rows[env, first].normal
+        n = shared.normal
+        number = zero
+        for row in range(first, end):
+            if is_loaded(rows, env, row):
+                number += one
+                shared.load += wp.dot(rows[env, row].impulse, n)
+                shared.friction += rows[env, row].impulse
+                shared.center += arm_of(rows, env, row)
+        if number < real(4.0):
+            return
+        shared.load /= number
+        shared.center /= number
+        shared.friction = shared.friction / number - shared.load * n
+        u_axis, v_axis = basis(n)
+        uu = zero
+        uv = zero
+        vv = zero
+        ww = zero
+        u_moment = zero
+        v_moment = zero
+        twist = zero
+        sticks = wp.bool(True)
+        for row in range(first, end):
+            if is_loaded(rows, env, row):
+                arm = arm_of(rows, env, row) - shared.center
+                u = wp.dot(arm, u_axis)
+                v = wp.dot(arm, v_axis)
+                impulse = rows[env, row].impulse
+                along = wp.dot(impulse, n)
+                uu += u * u
+                uv += u * v
+                vv += v * v
+                ww += wp.dot(arm, n) * wp.dot(arm, n)
+                u_moment += u * (along - shared.load)
+                v_moment += v * (along - shared.load)
+                twist += wp.dot(wp.cross(n, arm), impulse)
+                limit = STICKS * rows[env, row].mu * along
+                sticks = sticks and wp.length_sq(impulse - along * n) <= limit * limit
+        determinant = uu * vv - uv * uv
+        if determinant <= ON_LINE * (uu + vv) * (uu + vv):
+            return
+        u_slope = (vv * u_moment - uv * v_moment) / determinant
+        v_slope = (uu * v_moment - uv * u_moment) / determinant
+        shared.slope = u_slope * u_axis + v_slope * v_axis
+        largest = zero
+        for row in range(first, end):
+            if is_loaded(rows, env, row):
+                along = wp.dot(rows[env, row].impulse, n)
+                new = wp.dot(impulse_of(shared, rows, env, row), n)
+                largest = wp.max(largest, wp.abs(new - along))
+        if largest <= EVEN * shared.load:
+            return
+        # Tangential impulses in one plane, on points that do not slip.
+        shared.twist = twist / (uu + vv)
+        shared.changes_friction = sticks and ww <= IN_PLANE * IN_PLANE * (uu + vv)
+        if shared.changes_friction and not is_admissible(shared, rows, env, first, end):
+            shared.changes_friction = False
+        if shared.changes_friction or is_admissible(shared, rows, env, first, end):
+            for row in range(first, end):
+                if is_loaded(rows, env, row):
+                    rows[env, row].impulse = impulse_of(shared, rows, env, row)
+
+    @unique_kernel()
+    def equalize_loads_of_rows(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        rows: Rows,
+        solve_result: SolveResult,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] != ENV_ACTIVE or solve_result.converged[env] == 0:
+                continue
+            count = solve_result.count[env]
+            first = wp.int32(0)
+            while first < count:
+                end = end_of_points(rows, env, first, count)
+                if end - first > 3:
+                    equalize(rows, env, first, end)
+                first = end
+
+    return equalize_loads_of_rows

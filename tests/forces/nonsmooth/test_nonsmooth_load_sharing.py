@@ -112,3 +112,27 @@ def test_event_driven_simulation_refuses_compliance():
         ValueError, match=r"pad0_touch\.law\.compliance must be 0 m/N for this method, got 1e-08 m/N"
     ):
         wc.unilateral.EventDriven(model)
+
+
+@pytest.mark.parametrize("solver", ["auto", "gauss_seidel", "accelerated"])
+def test_boxes_that_fell_on_each_other_load_their_corners_equally(solver):
+    """The last box is next to the middle of the one below: its load, and so all below it, is affine in the position."""
+    count, gap, offset = 5, 1e-3, 0.01
+    scene = wc.Scene()
+    below = scene.add_shape(None, wc.shapes.Plane(), name="floor")
+    for i in range(count):
+        x = offset * (i == count - 1)
+        place = (x, 0, 0.05 + (0.1 + gap) * i)
+        box = scene.add_body(1.0, (1e-2 / 6,) * 3, position=place, name=f"box_{i}")
+        shape = scene.add_shape(box, wc.shapes.RoundedBox((0.05,) * 3))
+        scene.add_body_contact(shape, below, rigid(mu=MU), name=f"touch_{i}")
+        below = shape
+    model = scene.build(envs=1, device="cpu", precision="float64")
+    wc.Simulation(model, dt=2e-3, integrator=wc.integrators.MoreauJean(solver=solver)).step(300)
+    for i in range(count - 1):
+        point, force = (model.sensor(f"touch_{i}.{key}")[0] for key in ("point", "point_force"))
+        load = (count - i) * G
+        # The center of the load is at offset/(count − i), in a square of corners at ±50 mm.
+        expected = load / 4 * (1 + offset / (count - i) * point[:, 0] / 0.05**2)
+        # Differences below 1e-6 of the mean, and of the tolerance of the solver, are left.
+        assert force[:, 2] == pytest.approx(expected, rel=1e-5)

@@ -240,6 +240,14 @@ class MoreauJean(Integrator):
             )
             launches += plan.prepare(free_velocities, bodies, status=limit.status, **motion)
             launches += self._solve(plan, limit.status)
+        if nonsmooth.shares_loads and not model.has_compliance:
+            launches += plan.prepare(
+                load_sharing.equalize_loads(real, has_joints),
+                1,
+                status=status,
+                rows=nonsmooth.rows,
+                solve_result=nonsmooth.solve_result,
+            )
         theta = float(self.theta)
         return launches + plan.prepare(
             step.full_step(real, has_joints), bodies, status=status, theta=theta, guard=a.guard, **motion
