@@ -6,9 +6,10 @@ import xarray as xr
 from scenes import dropped_sphere, square
 
 import warpcontact as wc
+from warpcontact.forces.sensor import Sensor
 from warpcontact.stepping import requirements, worker_pool
 from warpcontact.stepping.frame_recording import record_frames
-from warpcontact.stepping.recorder import Recorder
+from warpcontact.stepping.recorder import Recorder, check_item_dimensions, item_dimension_of
 
 WATCHED = ["ball.position", "touch.gap", "touch.normal_force", "scene.kinetic_energy"]
 
@@ -332,3 +333,21 @@ def test_unknown_sensors_are_refused_before_the_run(device):
     with pytest.raises(KeyError, match=r"did you mean 'touch\.gap'"):
         sim.run(0.01, ["touch.gab"])
     assert sim.steps == 0
+
+
+def test_sensors_of_one_dimension_with_different_items_are_refused_before_the_run():
+    """Such as those of a force element of a user; a name of the items separates them."""
+    scene = wc.Scene()
+    body = scene.add_body(1.0, (1, 1, 1), name="body")
+    scene.add_points(body, np.eye(3), name="corners")
+
+    def sensor(name, items, **options):
+        return Sensor(f"net.{name}", "N", "force", lambda _: None, items=items, **options)
+
+    nodes, edges = sensor("node", 5), sensor("edge", 8)
+    assert item_dimension_of(scene, nodes) == "net.item"
+    with pytest.raises(ValueError, match=r"'net\.node' has 5 items and 'net\.edge' has 8.*dimension 'net\.item'"):
+        check_item_dimensions(scene, [nodes, edges])
+    named = sensor("edge", 8, items_of="edge")
+    check_item_dimensions(scene, [nodes, named])
+    assert item_dimension_of(scene, named) == "net.edge.item"

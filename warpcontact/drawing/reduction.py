@@ -20,7 +20,7 @@ BLOCK = 32 * 2**20
 
 
 def item_dimensions(array: "xr.DataArray") -> list[str]:
-    """Returns the item dimensions of an array, named by ``recorder.item_dimension``."""
+    """Returns the item dimensions of an array, named by ``recorder.item_dimension_of``."""
     return [dim for dim in map(str, array.dims) if dim == "item" or dim.endswith(".item")]
 
 

@@ -16,6 +16,8 @@ from warpcontact.storage.parameters import DeviceField, Field, Parameters, pack
 from warpcontact.storage.state_storage import COUNT
 from warpcontact.validation.checks import Array
 
+#: Kind of the items of sensors with one value per slot, see ``Sensor.items_of``.
+MINIMUM = "minimum"
 #: Sensors of the minima of a contact, one value per slot. name: (array, unit, meaning)
 SLOT_SENSORS = {
     "minimum_penetration": ("penetration", "m", "penetration at each minimum, 0 in empty slots"),
@@ -138,6 +140,7 @@ def minima_sensors(contact: Contact, minima: GroupMinima, first: int, several: i
             needs=("contacts",),
             items=slots,
             shape=shape_in(minima.results, attribute),
+            items_of=MINIMUM,
         )
     own: int | slice = slice(first, first + contact.count) if several else first
     for key, (struct, attribute, unit, meaning) in CONTACT_SENSORS.items():

@@ -44,6 +44,7 @@ class Sensor:
             ``"shape_points"``, ``"shape_curvatures"`` and ``"shape_gradients"`` of shape contacts; measures of
             ``"particles"``.
         items: Number of items of a set, 0 if there is no item axis.
+        items_of: Kind of its items, such as ``"point"``, if they are not those of its element; names their dimension.
         total: Whether the value is the sum over the item axis.
         codes: Enumeration of its integer values, if any.
         shape: Shape of a value: () for a number, (3,) for a vector.
@@ -58,6 +59,7 @@ class Sensor:
     total: bool = False
     codes: type[IntEnum] | None = None
     shape: tuple[int, ...] = ()
+    items_of: str = ""
 
     @property
     def flags(self) -> dict[str, Any]:

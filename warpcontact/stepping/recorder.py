@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact._version import __version__
-from warpcontact.forces.sensor import AXES
+from warpcontact.forces.sensor import AXES, Sensor
 from warpcontact.model.environments import Environments
 from warpcontact.model.model import DeviceModel
 from warpcontact.scene.body_contact import BodyContact
@@ -67,8 +67,8 @@ class RecordingSize:
         return envs * (self.parameters + count * sum(frame.host for frame in self.frames))
 
 
-def item_dimension(scene: SceneData, element: str) -> str:
-    """Returns the name of the item dimension of an element; sets of different size need different names."""
+def item_dimension(scene: SceneData, element: str, count: int) -> str:
+    """Returns the name of the dimension of the ``count`` items of an element; sets of different size need different names."""
     sizes = {points.count for points in scene.points if not points.single}
     sizes |= {body.count for body in scene.bodies if not body.single}
     # A particle contact has one item per particle, which may be those of several sets, and a body contact one per pair.
@@ -76,7 +76,37 @@ def item_dimension(scene: SceneData, element: str) -> str:
     contacts |= {contact.name: contact.count for contact in scene.body_contacts if not contact.single}
     if element in contacts:
         sizes |= set(contacts.values())
-    return "item" if len(sizes) == 1 else f"{element}.item"
+    return "item" if sizes == {count} else f"{element}.item"
+
+
+def item_dimension_of(scene: SceneData, sensor: Sensor) -> str:
+    """Returns the name of the item dimension of a sensor with items.
+
+    Items that are not those of the element, such as the points of a body contact, have a dimension of their own,
+    ``<element>.point.item``.
+    """
+    element = sensor.name.partition(".")[0]
+    if sensor.items_of:
+        return f"{element}.{sensor.items_of}.item"
+    return item_dimension(scene, element, sensor.items)
+
+
+def check_item_dimensions(scene: SceneData, sensors: Iterable[Sensor]) -> None:
+    """Raises ``ValueError`` if two sensors have a different number of items along the same dimension.
+
+    Sensors of the package do not; those of a force element of a user may.
+    """
+    found: dict[str, Sensor] = {}
+    for sensor in sensors:
+        if not sensor.items:
+            continue
+        dim = item_dimension_of(scene, sensor)
+        first = found.setdefault(dim, sensor)
+        if first.items != sensor.items:
+            raise ValueError(
+                f"{first.name!r} has {first.items} items and {sensor.name!r} has {sensor.items}, but both have the "
+                f"dimension {dim!r}, so that they cannot be recorded together; items_of of a sensor gives its items a dimension of their own"
+            )
 
 
 def replay_parameters(model: Environments) -> list[str]:
@@ -180,6 +210,7 @@ class Recorder:
         sensors = {sensor.name: sensor for sensor in model.find_sensors(wanted)}
         self.needs = {need for sensor in sensors.values() for need in sensor.needs}
         model.ensure_sensor_arrays(self.needs)
+        check_item_dimensions(model.scene, sensors.values())
         self.channels = [Channel(model, name) for name in sensors]
         self.capacity, self._blocks = frames, blocks
         # Per block, after ``start``: copies of frames of parts on the CPU, and times of the frames.
@@ -294,7 +325,9 @@ class Recorder:
         A parameter with the name of a sensor (an initial state) is named ``<name>.initial``.
         """
         name = parameter.name
-        dims = ["env"] + ([] if parameter.single else [item_dimension(self.model.scene, name.partition(".")[0])])
+        dims = ["env"]
+        if not parameter.single:
+            dims.append(item_dimension(self.model.scene, name.partition(".")[0], parameter.count))
         if parameter.tail == (3, 3):
             dims += ["row", "column"]
         elif parameter.tail:
@@ -335,8 +368,7 @@ class Recorder:
         frames = self.frames()
         for channel in self.channels:
             sensor = channel.sensor
-            element = sensor.name.rpartition(".")[0]
-            dims = ["time", "env"] + ([item_dimension(self.model.scene, element)] if sensor.items else [])
+            dims = ["time", "env"] + ([item_dimension_of(self.model.scene, sensor)] if sensor.items else [])
             values = frames[sensor.name]
             if values.ndim == len(dims) + 2:
                 dims += ["row", "column"]

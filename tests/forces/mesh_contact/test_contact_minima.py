@@ -245,3 +245,28 @@ def test_invalid_angles_of_a_parameter_are_refused(device):
     ):
         model["touch.group_angle"] = [(0.1, 0.2), (0.5, 0.2)]
     np.testing.assert_allclose(model["touch.group_angle"], [(math.radians(10), math.radians(40))] * 2)
+
+
+@pytest.mark.parametrize("count", [2, 8])
+def test_all_sensors_of_a_set_of_spheres_are_recorded_together(count, device):
+    """Also of as many spheres as one sphere has slots for minima; histories belong to slots."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    body = scene.add_body(1.0, (1, 1, 1), (0, 0, depth_in_groove(math.pi / 2, 1e-3)), name="body")
+    balls = scene.add_points(body, [(0, 0.03 * i, 0) for i in range(count)], name="balls")
+    single = scene.add_point(body, (0, -0.1, 0), name="centre")
+    friction = wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1e4)
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=friction)
+    wall = scene.add_surface(groove(math.pi / 2), name="wall")
+    for points, name in ((balls, "touch"), (single, "other")):
+        scene.add_contact(points, wall, material, radius=RADIUS, minima="all", name=name)
+    model = scene.build(envs=2, device=device, precision="float64")
+    recording = wc.Simulation(model, dt=1e-4).run(2e-4, model.sensor_names)
+    for name in model.sensor_names:
+        np.testing.assert_array_equal(recording[name].values[-1], model.sensor(name), err_msg=name)
+    assert recording["touch.force"].dims == ("time", "env", "item", "axis")
+    assert recording["other.force"].dims == ("time", "env", "axis")
+    for key in ("minimum_normal", "friction.spring"):
+        assert recording[f"touch.{key}"].dims == ("time", "env", "touch.minimum.item", "axis")
+        assert recording[f"other.{key}"].dims == ("time", "env", "other.minimum.item", "axis")
+    assert recording.sizes["touch.minimum.item"] == 8 * count
+    np.testing.assert_allclose(recording["touch.minimum_penetration"][0].sum("touch.minimum.item"), 2e-3 * count)

@@ -218,6 +218,7 @@ class ManifoldSet:
                     needs=("contacts",),
                     items=slots.stop - slots.start,
                     shape=shape,
+                    items_of="point",
                 )
             yield Sensor(
                 f"{contact.name}.load_ratio",

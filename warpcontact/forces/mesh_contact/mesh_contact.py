@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.contact_groups import ContactGroup
-from warpcontact.forces.contact_minima import minima_sensors
+from warpcontact.forces.contact_minima import MINIMUM, minima_sensors
 from warpcontact.forces.execution_plan import detection_stages, fused_contact_stages
 from warpcontact.forces.force_element import BuildContext, ForceElement, ForceTarget, Need
 from warpcontact.forces.mesh_contact.crease_warnings import crease_warnings
@@ -260,7 +260,9 @@ class MeshContact(ForceElement):
             )
         group, first = self._group_of(contact)
         in_group: int | slice = first if single else slice(first, first + contact.count)
+        items_of = ""
         if group.minima is not None:
+            items_of = MINIMUM
             yield from minima_sensors(contact, group.minima, first, several)
             histories = contact.count * group.minima.slots
             in_group, several = (
@@ -272,7 +274,8 @@ class MeshContact(ForceElement):
                 frame = ", axes of the surface" if memory.tangent else ""
                 meaning = f"{memory.meaning}, as of the last step{frame}"
                 array, shape = _history(group, part, key, in_group), (3,) if memory.tangent else ()
-                yield Sensor(f"{name}.{part}.{key}", memory.unit, meaning, array, items=several, shape=shape)
+                options = {"items": several, "shape": shape, "items_of": items_of}
+                yield Sensor(f"{name}.{part}.{key}", memory.unit, meaning, array, **options)
         several = 0 if single else contact.count
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
             array, shape = _column("history", attribute, own), shape_in(self._types.History, attribute)

@@ -14,7 +14,7 @@ from warpcontact.model.environments import Environments
 from warpcontact.scene.status import EnvironmentStatus, FailureCause
 from warpcontact.stepping.outcomes.observer import Monitor, OutcomeState
 from warpcontact.stepping.outcomes.watch import MonitorSettings
-from warpcontact.stepping.recorder import item_dimension
+from warpcontact.stepping.recorder import item_dimension_of
 
 Variable = tuple[Sequence[str], NDArray[Any], Mapping[str, Any]]
 
@@ -120,7 +120,7 @@ def _outcome(model: Environments, outcome_state: OutcomeState, values: NDArray[n
     first = outcome_state.sources[0]
     dims = ["env"]
     if first.sensor.items and first.source.items == "each":
-        dims.append(item_dimension(model.scene, first.sensor.name.partition(".")[0]))
+        dims.append(item_dimension_of(model.scene, first.sensor))
     else:
         values = values[:, 0]
     if first.axis is None:
