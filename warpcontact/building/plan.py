@@ -10,6 +10,7 @@ from warpcontact.geometry.query_mesh import QueryMeshCache
 from warpcontact.model.build import plan_on_devices
 from warpcontact.model.plan import DeviceModelPlan
 from warpcontact.scene.point_contact_warnings import point_contact_warnings
+from warpcontact.scene.repeated_pair_warnings import repeated_pair_warnings
 from warpcontact.stepping.requirements import stepping_memory
 from warpcontact.storage.memory_estimate import MemoryEstimate, require, total
 from warpcontact.system.devices import split_evenly
@@ -56,7 +57,7 @@ class ModelPlan:
         return model.with_items(stepping_memory(shares, varied=varied, **stepping).items)
 
     def build(self, envs: int) -> Model | SplitModel:
-        """Returns the model of ``envs`` environments, and warns of contacts that should be body contacts.
+        """Returns the model of ``envs`` environments, and warns of contacts that should be body contacts or repeat pairs.
 
         Can be called only once.
 
@@ -67,6 +68,7 @@ class ModelPlan:
         # Without graphs, because the simulation decides later whether steps are captured.
         require(lambda count: self.memory(count, capture_graphs=False), envs)
         models = [Model(part, own) for part, own in self.shares(envs)]
-        for sentence in point_contact_warnings(self.parts[0].scene):
+        scene = self.parts[0].scene
+        for sentence in (*point_contact_warnings(scene), *repeated_pair_warnings(scene)):
             warnings.warn(ContactWarning(sentence), stacklevel=caller_stacklevel())
         return models[0] if len(models) == 1 else SplitModel(models)
