@@ -1,5 +1,7 @@
 """Mesh repair: each step does only what it documents, and reports it."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -239,3 +241,20 @@ def test_trimesh_object_can_be_repaired():
     original.faces[::3] = original.faces[::3, ::-1]
     report = repaired(original).report
     assert (report.closed, report.orientation) == (True, "outward")
+
+
+def test_repair_that_an_error_of_a_mesh_recommends_repairs_it(tmp_path):
+    """Arrays have another call than files."""
+    mesh = box()
+    faces = np.array(mesh.faces)
+    faces[0] = faces[0][::-1]
+    with pytest.raises(MeshError, match=r"wound inconsistently") as caught:
+        Mesh(mesh.vertices, faces)
+    (step,) = re.findall(r'wc\.meshes\.repaired\(mesh, "(\w+)"\)', str(caught.value))
+    assert "repair=" not in str(caught.value)
+    found = repaired(Broken(mesh.vertices, faces), step)
+    assert (found.report.orientation, found.report.volume) == ("outward", mesh.report.volume)
+    trimesh.Trimesh(mesh.vertices, faces, process=False).export(tmp_path / "box.off")
+    with pytest.raises(MeshError, match=r'wound inconsistently, .*; repair="orient"$'):
+        load_mesh(tmp_path / "box.off")
+    assert load_mesh(tmp_path / "box.off", repair=step).report.orientation == "outward"

@@ -81,7 +81,7 @@ def test_requested_samples_keep_contact_at_points_of_meshes(tmp_path):
     ("first", "second", "options", "found", "reason"),
     [
         ("open", "plane", {}, (0, 0, 1), "of sample points, because .* both half-spaces or open surfaces"),
-        ("mesh", "inward", {}, (0, 0, 2), "of sample points, because .* surface 'two' enclose no volume, or are"),
+        ("mesh", "inward", {}, (0, 0, 2), "of sample points, because .* surface 'two' are oriented inward, with a volume"),
         ("cube", "plane", {"torsion": wc.friction.Coulomb(mu=0.1)}, (0, 1, 0), "at one point, .* has torsion Coulomb"),
     ],
     ids=["open mesh on a plane", "inward mesh", "material of one point"],

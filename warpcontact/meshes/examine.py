@@ -33,7 +33,12 @@ COORDINATE_LIMIT = 1.0e6
 
 
 def examine(
-    vertices: npt.ArrayLike, faces: npt.ArrayLike, name: str = "mesh", *, overlaps: bool = False
+    vertices: npt.ArrayLike,
+    faces: npt.ArrayLike,
+    name: str = "mesh",
+    *,
+    overlaps: bool = False,
+    remedy: str = 'repair="{step}"',
 ) -> MeshReport:
     """Examines any vertices and faces. All problems are listed in ``errors``; no exception is raised.
 
@@ -43,6 +48,7 @@ def examine(
         name: Name for the report.
         overlaps: Whether to search for intersecting faces, which about doubles the run time. Skipped for more than
             100 000 faces.
+        remedy: Recommendation of a repair step in errors, with ``{step}`` for its name.
 
     Returns:
         Report with all facts and problems.
@@ -103,13 +109,16 @@ def examine(
         tail, head = np.roll(corners[valid_faces[here]], -corner)[:2]
         return f"faces {valid_faces[here]} and {valid_faces[there]} both run from vertex {tail} to vertex {head}"
 
+    def repair(step: str) -> str:
+        return remedy.format(step=step)
+
     found = (
         _problem(~finite, "vertices", "not finite", vertex, "finite numbers"),
         _problem(finite & ~near, "vertices", "too far away", vertex, f"within ±{COORDINATE_LIMIT:g} m"),
         _problem(~in_range, "faces", "out of index range", face, f"vertex indices 0 to {len(v) - 1}"),
-        _problem(slivers, "faces", "degenerate", sliver, f'{SLIVER_LIMIT:g} or more; repair="degenerate"'),
-        _problem(copies, "faces", "duplicate", duplicate, 'one face for three points; repair="duplicate"'),
-        _problem(clash, "edges", "wound inconsistently", edge, 'one face in each direction; repair="orient"'),
+        _problem(slivers, "faces", "degenerate", sliver, f"{SLIVER_LIMIT:g} or more; {repair('degenerate')}"),
+        _problem(copies, "faces", "duplicate", duplicate, f"one face for three points; {repair('duplicate')}"),
+        _problem(clash, "edges", "wound inconsistently", edge, f"one face in each direction; {repair('orient')}"),
     )
     report = MeshReport(
         name,

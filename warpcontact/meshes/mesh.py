@@ -150,6 +150,10 @@ def metres(scale: object, unit: str | None, own: float | None) -> float:
     return factor * own if own is not None and 0.0 < own < inf else factor
 
 
+# Recommendation of a repair step to users with arrays; functions that read files have an argument ``repair`` instead.
+_REMEDY = 'wc.meshes.repaired(mesh, "{step}") of a trimesh.Trimesh or another object with vertices and faces'
+
+
 class MeshError(SafeTextError):
     """Mesh or mesh file that cannot be used; the message lists all problems."""
 
@@ -185,7 +189,7 @@ class Mesh:
     ) -> None:
         if not isinstance(name, str) or not name:
             raise ValueError(f"name must be a non-empty string, got {name!r}")
-        self._take(vertices, faces, groups, examine(vertices, faces, name), f"mesh {name!r}")
+        self._take(vertices, faces, groups, examine(vertices, faces, name, remedy=_REMEDY), f"mesh {name!r}")
 
     def _take(
         self,
@@ -312,7 +316,9 @@ class Mesh:
             vertices = self._vertices * positive("factor", factor)
         # Examine again, because some errors depend on the size.
         return self._changed(
-            vertices, self._faces, with_inherited_warnings(self._report, examine(vertices, self._faces, self.name))
+            vertices,
+            self._faces,
+            with_inherited_warnings(self._report, examine(vertices, self._faces, self.name, remedy=_REMEDY)),
         )
 
     def _changed(self, vertices: npt.ArrayLike, faces: npt.ArrayLike, report: MeshReport) -> "Mesh":

@@ -247,7 +247,8 @@ def warnings_of(report: MeshReport) -> tuple[str, ...]:
     remarks = {
         f"the surface is open: {boundary} in {loops}": report.boundary_edge_count > 0,
         f"{report.crack_vertex_count} boundary vertices nearly coincide with another one: cracks, at which "
-        'contact is lost; repair="merge" closes them': report.crack_vertex_count > 0,
+        'contact is lost; repair="merge", or wc.meshes.repaired(mesh, "merge"), closes them': report.crack_vertex_count
+        > 0,
         "the surface is closed and faces inward, like a container seen from inside; "
         "flipped() reverses it": report.orientation == "inward",
         f"{inward} of {parts} components closed and facing inward: cavities, or parts inside out": (

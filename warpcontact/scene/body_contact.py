@@ -326,11 +326,23 @@ def _check_solid(label: str, solid: Solid) -> None:
     """Raises ``ValueError`` if body contact does not support ``solid``."""
     if isinstance(solid, Surface):
         for mesh in solid.meshes:
-            if mesh.report.closed and not (mesh.report.volume or 0.0) > 0.0:
+            report = mesh.report
+            if not report.closed or report.orientation == "outward":
+                continue
+            if report.orientation == "inward":
                 raise ValueError(
-                    f"{label}: the faces of surface {solid.name!r} enclose no volume, or are oriented inward; flip=True of "
-                    "add_surface reverses them"
+                    f"{label}: the faces of surface {solid.name!r} are oriented inward, with a volume of {report.volume:.3g} m³; "
+                    "allowed: outward; flip of add_surface, or flipped() of the mesh, reverses them"
                 )
+            if report.orientation == "mixed":
+                raise ValueError(
+                    f"{label}: the faces of surface {solid.name!r} disagree in orientation at edges of more than two faces; "
+                    "allowed: each edge in both directions equally often"
+                )
+            raise ValueError(
+                f"{label}: the faces of surface {solid.name!r} are closed but enclose no volume; allowed: a mesh with a "
+                "thickness, or an open surface as second"
+            )
         if not all(active.all() for active in solid.active):
             raise ValueError(
                 f"{label}: surface {solid.name!r} has faces that are not active, which body contact needs"

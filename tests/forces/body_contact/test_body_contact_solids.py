@@ -81,6 +81,16 @@ def test_open_surface_is_the_reference(device):
     assert model.sensor("press.reference")[0] == 1.0
 
 
+# Both sides of a square, divided along different diagonals.
+FLAT = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)]
+
+# Four cones on one triangle, three of them with the same orientation along its edges.
+CONES = (
+    [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.3, 0.3, 1), (0.3, 0.3, 2), (0.3, 0.3, -1), (0.3, 0.3, -2)],
+    [(i, (i + 1) % 3, top) if top < 6 else ((i + 1) % 3, i, top) for top in (3, 4, 5, 6) for i in range(3)],
+)
+
+
 def scene_with(*names):
     scene = wc.Scene()
     body = scene.add_body(mass=1.0, inertia=(1, 1, 1), name="body")
@@ -90,6 +100,8 @@ def scene_with(*names):
         "torus": lambda: scene.add_shape(body, wc.shapes.Torus(0.1, 0.02), name="torus"),
         "sheet": lambda: scene.add_surface(wc.meshes.grid((1, 1)), body=body, name="sheet"),
         "hollow": lambda: scene.add_surface(wc.meshes.box((1, 1, 1)), body=body, flip=True, name="hollow"),
+        "flat": lambda: scene.add_surface(wc.Mesh(*FLAT), body=body, name="flat"),
+        "cones": lambda: scene.add_surface(wc.Mesh(*CONES), body=body, name="cones"),
         "floor": lambda: scene.add_shape(None, wc.shapes.Plane(), name="floor"),
     }
     return scene, [made[name]() for name in names]
@@ -104,7 +116,12 @@ def scene_with(*names):
         ),
         (("round", "floor"), r"'round' has rounded edges, of radius 0\.01 m"),
         (("sheet", "floor"), r"'sheet' is open, and must be second"),
-        (("hollow", "floor"), r"'hollow' enclose no volume, or are oriented inward"),
+        (
+            ("hollow", "floor"),
+            r"'hollow' are oriented inward, with a volume of -1 m³; .* flip of add_surface, or flipped\(\) of",
+        ),
+        (("flat", "floor"), r"'flat' are closed but enclose no volume; allowed: a mesh with a thickness"),
+        (("cones", "floor"), r"'cones' disagree in orientation at edges of more than two faces"),
         (("floor", "box"), r"'floor' is a half-space, which must be second"),
         (("box", "box"), r"all solids are fixed to body 'body'"),
     ],
