@@ -82,28 +82,49 @@ def mobility_along(model: "Environments", body: Body, arm: Array, direction: Arr
         arm: Point of action relative to the center of mass, (envs, 3), world [m].
         direction: Unit vectors (envs, 3), world.
     """
+    wrench = np.concatenate([direction, np.cross(arm, direction)], axis=1)
+    return np.asarray(np.einsum("ei,eij,ej->e", wrench, inverse_mass(model, body), wrench))
+
+
+def inverse_mass(model: "Environments", body: Body) -> Array:
+    """Returns the inverse mass matrix of ``body`` (envs, 6, 6), linear and angular part, world axes [1/kg, 1/(kg·m²)].
+
+    It gives the acceleration of the center of mass by a force there, and by a torque, with the joint of the body; zero with
+    prescribed motion.
+    """
     kind = body.motion.kind
     mass = model[f"{body.name}.mass"]
+    inverse = np.zeros((model.envs, 6, 6))
+    linear, angular = inverse[:, :3, :3], inverse[:, 3:, 3:]
+    by_mass = np.eye(3) / mass[:, None, None]
     if kind == FREE:
-        return 1.0 / mass + _rotational_mobility(np.cross(arm, direction), _inertia(model, body))
-    if kind == TRANSLATION:
-        return 1.0 / mass
-    if kind == SLIDER:
-        return (model[f"{body.name}.motion.axis"] * direction).sum(axis=1) ** 2 / mass
-    if kind == PLANAR:
+        linear[:], angular[:] = by_mass, np.linalg.inv(_inertia(model, body))
+    elif kind == TRANSLATION:
+        linear[:] = by_mass
+    elif kind == SLIDER:
+        linear[:] = _square(model[f"{body.name}.motion.axis"]) / mass[:, None, None]
+    elif kind == PLANAR:
         normal = model[f"{body.name}.motion.normal"]
-        lever = (normal * np.cross(arm, direction)).sum(axis=1)
-        return (1.0 - (normal * direction).sum(axis=1) ** 2) / mass + lever**2 / _along(
-            normal, _inertia(model, body)
-        )
-    if kind not in (HINGE, BALL):
-        return np.zeros_like(mass)
-    centre, inertia = _anchor_inertia(model, body)
-    lever = np.cross(centre + arm, direction)
-    if kind == HINGE:
-        axis = model[f"{body.name}.motion.axis"]
-        return (axis * lever).sum(axis=1) ** 2 / _along(axis, inertia)
-    return _rotational_mobility(lever, inertia)
+        about = _square(normal)
+        linear[:] = by_mass - about / mass[:, None, None]
+        angular[:] = about / _along(normal, _inertia(model, body))[:, None, None]
+    elif kind in (HINGE, BALL):
+        arm, inertia = _anchor_inertia(model, body)
+        # Columns are the velocities of the center of mass by unit angular velocities.
+        lever = np.swapaxes(np.cross(np.eye(3), arm[:, None]), 1, 2)
+        if kind == HINGE:
+            axis = model[f"{body.name}.motion.axis"]
+            response = _square(axis) / _along(axis, inertia)[:, None, None]
+        else:
+            response = np.linalg.inv(inertia)
+        motion = np.concatenate([lever, np.broadcast_to(np.eye(3), lever.shape)], axis=1)
+        inverse[:] = motion @ response @ np.swapaxes(motion, 1, 2)
+    return inverse
+
+
+def _square(vectors: Array) -> Array:
+    """Returns the products v vᵀ of vectors (envs, 3) with themselves, (envs, 3, 3)."""
+    return vectors[:, :, None] * vectors[:, None, :]
 
 
 def _inertia(model: "Environments", body: Body) -> Array:
@@ -124,11 +145,6 @@ def _anchor_inertia(model: "Environments", body: Body) -> tuple[Array, Array]:
 def _along(axis: Array, inertia: Array) -> Array:
     """Returns the moments of inertia (envs, …) about unit vectors (envs, …, 3)."""
     return np.einsum("...i,...ij,...j->...", axis, inertia, axis)
-
-
-def _rotational_mobility(lever: Array, inertia: Array) -> Array:
-    """Returns the rotational part of the mobility, lᵀ I⁻¹ l with l = arm × direction, (envs,) [1/kg]."""
-    return (lever * np.linalg.solve(inertia, lever[..., None])[..., 0]).sum(axis=1)
 
 
 def _places(contact: "Contact | ShapeContact | ParticleContact", body: Body) -> Array:
