@@ -116,7 +116,7 @@ def inverse_mass(model: "Environments", body: Body) -> Array:
             axis = model[f"{body.name}.motion.axis"]
             response = _square(axis) / _along(axis, inertia)[:, None, None]
         else:
-            response = np.linalg.inv(inertia)
+            response = np.asarray(np.linalg.inv(inertia), dtype=np.float64)
         motion = np.concatenate([lever, np.broadcast_to(np.eye(3), lever.shape)], axis=1)
         inverse[:] = motion @ response @ np.swapaxes(motion, 1, 2)
     return inverse

@@ -211,7 +211,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
 
         The first step from the initial state of the model issues them.
         """
-        return scene_advice(self.model, self.dt, self._buffers[0].nonsmooth)
+        return scene_advice(self.model, self.dt, self._buffers[0].nonsmooth, self.integrator.stiffness_factor)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes state, history, clocks and parameters into a checkpoint.

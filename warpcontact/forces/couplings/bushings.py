@@ -8,6 +8,7 @@ import warp as wp
 
 from warpcontact.algebra.vectors import inverse, quat_multiply
 from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.forces.couplings.step_warnings import bushing_warnings
 from warpcontact.kernels.couplings import bushing
 from warpcontact.scene import couplings as elements
 from warpcontact.scene import elements as limits_of
@@ -18,6 +19,8 @@ from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.environments import Environments
     from warpcontact.scene.elements import Body
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
@@ -86,6 +89,10 @@ class BushingSet(CouplingSet):
             bushings=self._bushings,
             ends=plan.model.arrays.end_wrenches,
         )
+
+    def advice(self, model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+        """Returns the warnings about the step length."""
+        return [sentence for one in self.couplings for sentence in bushing_warnings(model, one, dt)]
 
 
 def _orientation(body: "Body | None") -> Array:

@@ -4,14 +4,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpcontact.algebra.vectors import transform_points
-from warpcontact.scene.couplings import Catenary, Coupling, SpringDamper
-from warpcontact.scene.mobility import mobility_along
+from warpcontact.forces.couplings.coupling_rows import (
+    BUSHING_DIRECTIONS,
+    bushing_rows,
+    initial_length,
+    mobility_of_line,
+    place_and_arm,
+    slope,
+)
+from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.model.environments import Environments
-    from warpcontact.scene.elements import Points
 
 # Minimum number of steps per period of a spring: oscillations are then accurate to about 1 %.
 MIN_STEPS_PER_PERIOD = 20.0
@@ -27,30 +32,55 @@ def spring_warnings(model: "Environments", coupling: SpringDamper, dt: float) ->
     The period is estimated from stiffness and damping at the initial length and at rest, and from the effective mass
     along the line between the points. Formulas without a slope are not checked.
     """
-    length, mobility = _along(model, coupling)
-    rest = model[f"{coupling.name}.rest_length"]
+    mobility = mobility_of_line(model, coupling)
+    lengths = np.stack([model[f"{coupling.name}.rest_length"], initial_length(model, coupling)], axis=1)
+    stiffness, damping = (slope(model, coupling, part, lengths) for part in ("spring", "damper"))
     sentences = []
-    stiffness, damping = (_slope(model, coupling, part, rest, length) for part in ("spring", "damper"))
     if stiffness is not None:
-        turning = np.sqrt(stiffness * mobility)
-        worst = int(np.argmax(turning))
-        if turning[worst] * dt * MIN_STEPS_PER_PERIOD > 2.0 * np.pi:
-            period = 2.0 * np.pi / turning[worst]
-            sentences.append(
-                f"{coupling.name}: dt = {dt:g} s is too long: a period is {period:.2g} s in environment "
-                f"{model.first_env + worst}, {period / dt:.1f} steps. Use dt ≤ {period / MIN_STEPS_PER_PERIOD:.2g} s for "
-                f"{MIN_STEPS_PER_PERIOD:g} steps"
-            )
+        sentences += _period_warnings(model, coupling.name, np.sqrt(stiffness.max(axis=1) * mobility), dt)
     if damping is not None:
-        rate = damping * mobility
-        worst = int(np.argmax(rate))
-        if rate[worst] * dt > MAX_DAMPING:
-            sentences.append(
-                f"{coupling.name}: dt = {dt:g} s is too long for its damping, which changes the velocity by "
-                f"{rate[worst] * dt:.2g} times its value per step in environment {model.first_env + worst}. Use dt ≤ "
-                f"{0.1 * MAX_DAMPING / rate[worst]:.2g} s"
-            )
+        sentences += _damping_warnings(model, coupling.name, damping.max(axis=1) * mobility, dt)
     return sentences
+
+
+def bushing_warnings(model: "Environments", bushing: Bushing, dt: float) -> list[str]:
+    """Returns the warnings about a bushing and the time step, for its worst direction."""
+    rows = bushing_rows(model, bushing)
+    mobility = rows.mobility(model) * model[f"{bushing.name}.enabled"][:, None]
+    sentences = []
+    for values, warnings in (
+        (np.sqrt(rows.stiffness * mobility), _period_warnings),
+        (rows.damping * mobility, _damping_warnings),
+    ):
+        direction = int(np.argmax(values.max(axis=0)))
+        name = f"{bushing.name}, {BUSHING_DIRECTIONS[direction]}"
+        sentences += warnings(model, name, values[:, direction], dt)
+    return sentences
+
+
+def _period_warnings(model: "Environments", name: str, turning: Array, dt: float) -> list[str]:
+    """Returns the warning about angular frequencies (envs,) [rad/s] with too few steps per period."""
+    worst = int(np.argmax(turning))
+    if turning[worst] * dt * MIN_STEPS_PER_PERIOD <= 2.0 * np.pi:
+        return []
+    period = 2.0 * np.pi / turning[worst]
+    return [
+        f"{name}: dt = {dt:g} s is too long: a period is {period:.2g} s in environment "
+        f"{model.first_env + worst}, {period / dt:.1f} steps. Use dt ≤ {period / MIN_STEPS_PER_PERIOD:.2g} s for "
+        f"{MIN_STEPS_PER_PERIOD:g} steps"
+    ]
+
+
+def _damping_warnings(model: "Environments", name: str, rate: Array, dt: float) -> list[str]:
+    """Returns the warning about dampers with too large rates (envs,) [1/s]."""
+    worst = int(np.argmax(rate))
+    if rate[worst] * dt <= MAX_DAMPING:
+        return []
+    return [
+        f"{name}: dt = {dt:g} s is too long for its damping, which changes the velocity by "
+        f"{rate[worst] * dt:.2g} times its value per step in environment {model.first_env + worst}. Use dt ≤ "
+        f"{0.1 * MAX_DAMPING / rate[worst]:.2g} s"
+    ]
 
 
 def catenary_warnings(model: "Environments", line: Catenary, dt: float) -> list[str]:
@@ -60,7 +90,7 @@ def catenary_warnings(model: "Environments", line: Catenary, dt: float) -> list[
 
 def _taut_warnings(model: "Environments", line: Catenary, dt: float) -> list[str]:
     length, stiffness = (model[f"{line.name}.{key}"] for key in ("length", "axial_stiffness"))
-    turning = np.sqrt(stiffness / length * _along(model, line)[1])
+    turning = np.sqrt(stiffness / length * mobility_of_line(model, line))
     worst = int(np.argmax(turning))
     if turning[worst] * dt <= 2.0:
         return []
@@ -81,7 +111,7 @@ def _floor_warnings(model: "Environments", line: Catenary) -> list[str]:
     floor, length = (model[f"{line.name}.{key}"] for key in ("floor", "length"))
     sentences = []
     for key, point in (("point_a", line.point_a), ("point_b", line.point_b)):
-        height = (_place_and_arm(model, point)[0] * upright).sum(axis=1)
+        height = (place_and_arm(model, point)[0] * upright).sum(axis=1)
         depth = np.where(size > 0.0, floor - height, 0.0)  # without gravity, depth is undefined
         worst = int(np.argmax(depth / length))
         if depth[worst] > MAX_BURIED_DEPTH * length[worst]:
@@ -91,49 +121,3 @@ def _floor_warnings(model: "Environments", line: Catenary) -> list[str]:
                 "above the origin, negative below it"
             )
     return sentences
-
-
-def _along(model: "Environments", coupling: Coupling) -> tuple[Array, Array]:
-    """Returns the initial distance of the ends [m], and the total mobility along the line between them [1/kg]."""
-    points = (coupling.point_a, coupling.point_b)
-    (position_a, arm_a), (position_b, arm_b) = (_place_and_arm(model, point) for point in points)
-    apart = position_b - position_a
-    length = np.linalg.norm(apart, axis=1)
-    direction = np.where(length[:, None] > 0.0, apart / np.where(length > 0.0, length, 1.0)[:, None], (0, 0, 1.0))
-    mobility = _mobility(model, points[0], arm_a, direction) + _mobility(model, points[1], arm_b, direction)
-    return length, mobility
-
-
-def _slope(model: "Environments", coupling: SpringDamper, part: str, rest: Array, length: Array) -> Array | None:
-    """Returns the larger slope of a part at rest and at the initial length, (envs,); ``None``: not available."""
-    formula = coupling.formulas[part]
-    plain = coupling.plain_spring if part == "spring" else coupling.plain_damper
-    prefix = coupling.name if plain else f"{coupling.name}.{part}"
-    values = {name: model[f"{prefix}.{name}"] for name in formula.parameters()}
-    values["rest_length"] = rest
-    slopes = [formula.slope(values, lengths) for lengths in (rest, length)]
-    if any(slope is None for slope in slopes):
-        return None
-    return np.maximum(np.maximum(*np.broadcast_arrays(*slopes)), 0.0)
-
-
-def _place_and_arm(model: "Environments", point: "Points") -> tuple[Array, Array]:
-    """Returns the initial position of a point, and its arm from the center of mass, (envs, 3), world [m]."""
-    place = model[f"{point.name}.position"][:, None]
-    if point.surface is not None:
-        scale, position, orientation = (
-            model[f"{point.surface.name}.{key}"] for key in ("scale", "position", "orientation")
-        )
-        place = transform_points(scale[:, None, None] * place, position, orientation)
-    if point.body is None:
-        return place[:, 0], np.zeros((model.envs, 3))
-    centre, turn = (model[f"{point.body.name}.{key}"] for key in ("position", "orientation"))
-    arm = transform_points(place, np.zeros_like(centre), turn)[:, 0]
-    return centre + arm, arm
-
-
-def _mobility(model: "Environments", point: "Points", arm: Array, direction: Array) -> Array:
-    """Returns the mobility of a point along ``direction``, (envs,) [1/kg]."""
-    if point.body is None:
-        return np.zeros(model.envs)
-    return mobility_along(model, point.body, arm, direction)

@@ -47,6 +47,11 @@ class Integrator(ABC):
         """Whether kernels exist that fuse the integration with other stages, see ``launch_shape``."""
         return False
 
+    @property
+    def stiffness_factor(self) -> float:
+        """Factor f of the limit of stability: a mass m on a spring k and a damper c is stable for f h² k/m + 2 h c/m < 4."""
+        return 1.0
+
     @abstractmethod
     def step_stages(
         self,

@@ -146,6 +146,11 @@ class MoreauJean(Integrator):
                     "SemiImplicitEuler for swept contacts"
                 )
 
+    @property
+    def stiffness_factor(self) -> float:
+        """2 θ: forces are those at half a step with the velocity before, so θ = ½ has the limit of ``SemiImplicitEuler``."""
+        return 2.0 * float(self.theta)
+
     def check_step(self, dt: float) -> None:
         """Checks that the recovery time is at least a step.
 
