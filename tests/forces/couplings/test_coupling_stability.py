@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
+from warpcontact.forces.couplings.coupling_rows import coupling_rows
+from warpcontact.scene.mobility import inverse_mass
 
 DT = 1.0e-3
 BASE_MASS, PAD_MASS = 1.5, 0.2
@@ -193,3 +195,57 @@ def test_limit_includes_the_joint_of_a_body(motion, mobility, device):
     for scale in (0.9, 1.1):
         dt = scale * 2.0 / np.sqrt(1.0e6 * mobility) if mobility else 1.0
         assert bool(unstable(wc.Simulation(model, dt))) == (scale > 1.0 and mobility > 0.0)
+
+
+def test_limit_of_random_couplings_matches_a_dense_eigenvalue_problem(device):
+    rng = np.random.default_rng(3)
+    scene = wc.Scene(gravity=(0, 0, 0))
+    bodies = [
+        scene.add_body(mass, mass * np.array([0.02, 0.03, 0.04]), rng.normal(size=3), name=f"body_{number}")
+        for number, mass in enumerate(rng.uniform(0.1, 3.0, 8))
+    ]
+    for number in range(20):
+        one, other = rng.choice(len(bodies), 2, replace=False)
+        ends = [
+            scene.add_point(None if is_world else bodies[body], rng.normal(size=3))
+            for body, is_world in ((one, number % 5 == 0), (other, False))
+        ]
+        k, c = rng.uniform(1.0e3, 1.0e4), rng.uniform(0.0, 10.0)
+        if number % 2:
+            scene.add_spring_damper(*ends, stiffness=k, damping=c)
+        else:
+            turning = {"turn_stiffness": rng.uniform(0.0, 100.0, 3), "turn_damping": rng.uniform(0.0, 0.1, 3)}
+            scene.add_bushing(*ends, stiffness=k * rng.random(3), damping=c * rng.random(3), **turning)
+    model = scene.build(3, device, "float64")
+    for body in bodies:
+        model[f"{body.name}.mass"] = body.mass * rng.uniform(0.5, 2.0, 3)
+    limits = dense_limits(model, bodies)
+    worst = int(np.argmin(limits))
+    for scale, expected in ((0.99, 0), (1.01, 1), (3.0, 1)):
+        found = unstable(wc.Simulation(model, scale * limits[worst]))
+        assert len(found) == expected
+    assert f"dt < {limits[worst]:.2g} s in environment {worst}" in found[0]
+
+
+def dense_limits(model, bodies):
+    """Longest stable step of each environment: 1/h is an eigenvalue of the quadratic problem 4 M/h² − 2 C/h − K."""
+    rows = [coupling_rows(model, one) for one in model.scene.couplings]
+    limits = []
+    for env in range(model.envs):
+        size = 6 * len(bodies)
+        inverse, stiffness, damping = np.zeros((3, size, size))
+        for body in bodies:
+            own = slice(6 * body.index, 6 * body.index + 6)
+            inverse[own, own] = inverse_mass(model, body)[env]
+        for one in rows:
+            jacobian = np.zeros((one.count, size))
+            for body, part in zip(one.bodies, one.jacobians, strict=True):
+                if body is not None:
+                    jacobian[:, 6 * body.index : 6 * body.index + 6] += part[env]
+            stiffness += jacobian.T @ (one.stiffness[env][:, None] * jacobian)
+            damping += jacobian.T @ (one.damping[env][:, None] * jacobian)
+        companion = np.block(
+            [[0.5 * inverse @ damping, 0.25 * inverse @ stiffness], [np.eye(size), 0.0 * inverse]]
+        )
+        limits.append(1.0 / np.linalg.eigvals(companion).real.max())
+    return np.array(limits)
