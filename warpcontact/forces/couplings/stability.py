@@ -26,9 +26,11 @@ if TYPE_CHECKING:
 #: Value of f h² k/m + 2 h c/m at the limit of stability.
 LIMIT = 4.0
 # Largest number of steps of power iteration, and relative change of the eigenvalue in a step at which it ends.
-_ITERATIONS, _CHANGE = 300, 1.0e-6
+_ITERATIONS, _CHANGE = 300, 1.0e-5
 # Number of refinements of the longest stable step; the error is squared in each.
 _REFINEMENTS = 6
+# Largest number of rows of a dense eigenvalue problem.
+_DENSE = 36
 # Number of rows in all environments that are solved together, which limits the memory.
 _CHUNK = 200_000
 # Part of the energy of the unstable mode from which on a coupling is named, and number of names.
@@ -85,11 +87,26 @@ class _System:
         self.stiffness = np.concatenate([one.stiffness[envs] for one in couplings], axis=1)
         self.damping = np.concatenate([one.damping[envs] for one in couplings], axis=1)
 
+    def _start(self, root: Array) -> Array:
+        """Returns the row forces at which power iteration starts, (envs, rows); ``root``: square roots of the weights.
+
+        Few rows have the eigenvector itself, because power iteration is slow if eigenvalues are close.
+        """
+        envs, rows = root.shape
+        if rows > _DENSE:
+            return np.random.default_rng(0).normal(size=root.shape)
+        dense = np.zeros((envs, rows, *self.response.shape[1:3]))
+        for side, jacobian in zip(self.sides, self.jacobians, strict=True):
+            dense[:, np.arange(rows), side] += root[:, :, None] * jacobian
+        responses = np.einsum("erbi,ebij->erbj", dense, self.response).reshape(envs, rows, -1)
+        _, vectors = np.linalg.eigh(responses @ np.swapaxes(dense.reshape(envs, rows, -1), 1, 2))
+        return np.asarray(vectors[:, :, -1], dtype=np.float64)
+
     def fastest(self, steps: Array, factor: float) -> _Modes:
         """Returns the motions with the largest eigenvalue at the time steps (envs,) [s]."""
         jacobians, response, stiffness, damping = self.jacobians, self.response, self.stiffness, self.damping
         root = np.sqrt(_weights(stiffness, damping, steps, factor))
-        force = np.random.default_rng(0).normal(size=root.shape)
+        force = self._start(root)
         eigenvalue = np.zeros(len(steps))
         for _ in range(_ITERATIONS):
             force /= np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-300)
