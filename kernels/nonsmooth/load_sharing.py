@@ -209,6 +209,9 @@ def equalize_loads(real: type, has_joints: bool) -> wp.Kernel:
                 limit = rows[env, row].mu * along
                 if along <= zero or wp.length_sq(impulse - along * shared.normal) > limit * limit:
                     return False
+                # The limits of couples depend on the normal impulse of their row.
+                if wp.length_sq(rows[env, row].couple) > zero:
+                    return False
         return True
 
     @wp.func
