@@ -150,6 +150,8 @@ def equalize_loads(real: type, has_joints: bool) -> wp.Kernel:
     STICKS, IN_PLANE = wp.constant(real(0.999)), wp.constant(real(1.0e-6))
     # 1 − cosine of normals that are equal, and determinant of positions on a line over the square of the trace.
     PARALLEL, ON_LINE = wp.constant(real(1.0e-6)), wp.constant(real(1.0e-6))
+    # Rounding of a tangential over a normal impulse, which contacts without friction have.
+    ROUNDING = wp.constant(real(8.0 * structs(real).epsilon))
     # Largest change relative to the mean that is not made, so that impulses of bodies at rest stay bitwise identical.
     EVEN = wp.constant(real(max(1.0e-6, 64.0 * structs(real).epsilon)))
 
@@ -162,6 +164,7 @@ def equalize_loads(real: type, has_joints: bool) -> wp.Kernel:
 
     @wp.func
     def is_loaded(rows: Rows, env: int, row: int):
+        """Returns whether a row pushes its bodies apart."""
         return wp.dot(rows[env, row].impulse, rows[env, row].normal) > zero
 
     @wp.func
@@ -206,7 +209,7 @@ def equalize_loads(real: type, has_joints: bool) -> wp.Kernel:
             if is_loaded(rows, env, row):
                 impulse = impulse_of(shared, rows, env, row)
                 along = wp.dot(impulse, shared.normal)
-                limit = rows[env, row].mu * along
+                limit = (rows[env, row].mu + ROUNDING) * along
                 if along <= zero or wp.length_sq(impulse - along * shared.normal) > limit * limit:
                     return False
                 # The limits of couples depend on the normal impulse of their row.
@@ -255,7 +258,7 @@ def equalize_loads(real: type, has_joints: bool) -> wp.Kernel:
                 u_moment += u * (along - shared.load)
                 v_moment += v * (along - shared.load)
                 twist += wp.dot(wp.cross(n, arm), impulse)
-                limit = STICKS * rows[env, row].mu * along
+                limit = (STICKS * rows[env, row].mu + ROUNDING) * along
                 sticks = sticks and wp.length_sq(impulse - along * n) <= limit * limit
         determinant = uu * vv - uv * uv
         if determinant <= ON_LINE * (uu + vv) * (uu + vv):
