@@ -43,6 +43,7 @@ def record_structs(real: type) -> RecordStructs:
         normal: vec3  # W
         approach_speed: real  # at K, at the end of the step [m/s]
         slip_speed: real  # likewise [m/s]
+        held_gap: real  # largest gap since the contact became active, at most 0 [m]
         mode: wp.int32  # MODE_*
         stamp: wp.int32  # number of that step
 

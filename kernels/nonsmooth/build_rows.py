@@ -31,13 +31,20 @@ def add_row(real: type) -> wp.Function:
     Its arguments are ``(state, rows, solve_result, stored_impulses, statistics, env, contact, material, body_1,
     body_2, arm_1, arm_2, normal, gap, recovery, radius, torsion_radius)``. ``state`` has the velocities before the
     step, from which restitution computes the approach speed. ``recovery`` is the fraction of an overlap that is
-    removed per second [1/s].
+    removed per second [1/s]. A gap that has become smaller since the contact closed is restored without it.
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
     r, records = row_structs(real), record_structs(real)
     Row = r.Row
     velocity_at = frames.functions(real).velocity_at
+
+    @wp.func
+    def speed_of_arm(state: State, env: int, body: int, arm: vec3):
+        """Returns the angular speed of a body times the length of an arm [m/s]."""
+        if body < 0:
+            return real(0.0)
+        return wp.length(state.body_angular_velocity[env, body]) * wp.length(arm)
 
     @wp.func
     def add_row(
@@ -70,18 +77,27 @@ def add_row(real: type) -> wp.Function:
         new_row.spinning = material.spinning * torsion_radius
         new_row.mu = material.mu_static
         new_row.is_new = 1
+        new_row.held_gap = wp.min(gap, real(0.0))
         if stored_impulses[env, contact].stamp == statistics.step[env]:
             new_row.is_new = 0
             new_row.impulse = stored_impulses[env, contact].impulse
             new_row.couple = stored_impulses[env, contact].couple
             if stored_impulses[env, contact].mode == MODE_SLIP:
                 new_row.mu = material.mu_dynamic
+            new_row.held_gap = wp.max(new_row.held_gap, stored_impulses[env, contact].held_gap)
         new_row.restitution = material.restitution
         if material.restitution > real(0.0):
             approach = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
             new_row.restitution_speed = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))
         # Overlap up to g h² is not removed, so that a resting contact stays active.
         new_row.recovery = recovery * wp.max(-gap - solve_result.slack[env], real(0.0))
+        lost_gap = new_row.held_gap - solve_result.slack[env] - gap
+        if lost_gap > real(0.0):
+            # Each step changes gaps by an error of second order in h. Overlaps by it are removed in the next step.
+            slip = velocity_at(state, env, body_1, arm_1) - velocity_at(state, env, body_2, arm_2)
+            motion = speed_of_arm(state, env, body_1, arm_1) + speed_of_arm(state, env, body_2, arm_2)
+            motion += wp.length(slip)
+            new_row.recovery = wp.max(new_row.recovery, wp.min(lost_gap / solve_result.step[env], motion))
         if material.compliance > real(0.0):
             # A spring with the force −g/c at the end of the step.
             h = solve_result.step[env]

@@ -45,6 +45,7 @@ def row_structs(real: type) -> RowStructs:
         recovery: real
         # Additional separation speed per normal impulse, compliance / h² [1/kg]; only with ``is_soft`` of the solvers.
         softness: real
+        held_gap: real  # largest gap since the contact became active, at most 0 [m]
         impulse: vec3  # on the first; before a solve the warm start, W [N·s]
         couple: vec3  # of rolling and spinning, on the first, likewise [N·m·s]
         is_new: wp.int32  # 1: the contact was not active in the last step, or its warm start is bad

@@ -144,6 +144,7 @@ def kernel(real: type, has_joints: bool, rolls: bool) -> wp.Kernel:
                 stored.normal = row.normal
                 stored.approach_speed = -parting
                 stored.slip_speed = wp.length(u_after - parting * row.normal)
+                stored.held_gap = row.held_gap
                 stored.mode = wp.int32(MODE_SLIP)
                 if along <= real(0.0):
                     stored.mode = wp.int32(MODE_OPEN)

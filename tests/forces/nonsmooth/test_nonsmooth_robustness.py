@@ -66,7 +66,8 @@ def test_overlap_recovers_within_recovery_time(device):
     assert model.sensor("touch.normal_force")[0] == pytest.approx(G, rel=1e-3)
 
 
-def test_rocking_capsule_sinks_without_overlap_recovery(device):
+def test_rocking_capsule_does_not_sink(device):
+    """The only contact point jumps from one end to the other, and the ends are released for a step alternately."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     body = scene.add_body(1.0, (0.008, 0.008, 0.0012), position=(0, 0, 0.0499), name="log")
     lying = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
@@ -75,15 +76,9 @@ def test_rocking_capsule_sinks_without_overlap_recovery(device):
     scene.add_shape_contact(body_shape, plate, rigid(0.0, 0.4), name="touch")
     model = scene.build(device=device, precision="float64")
     model["log.angular_velocity"] = (0.0, 0.1, 0.0)
-    deep = {}
-    for recovery in (None, 0.02):
-        model.reset()
-        integrator = wc.integrators.MoreauJean(recovery_time=recovery)
-        run = wc.Simulation(model, 1e-3, integrator).run(2.0, ["touch.penetration"], every=0.1)
-        deep[recovery] = run["touch.penetration"].values[-1].max()
-    # The ends are released for a step alternately; g dt in 0.02 s is 0.2 mm.
-    assert deep[0.02] < 2e-4
-    assert deep[None] > 10.0 * deep[0.02]
+    run = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean()).run(2.0, ["touch.penetration"], every=0.1)
+    # The overlap of 0.1 mm at the start remains. A change releases an end for a step, and 2 g h² are kept at most.
+    assert run["touch.penetration"].values.max() < 1e-4 + 3.0 * G * 1e-3**2
 
 
 def test_slipping_contact_has_slip_mode_and_dynamic_friction(device):

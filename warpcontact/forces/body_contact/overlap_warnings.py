@@ -93,8 +93,8 @@ def deep_contact_warnings(
     text = (
         f"{contact.name}: {pair[0].name} and {pair[1].name} overlap by {deepest:.3g} m at the end of the run, "
         f"{100.0 * ratio:.2g} % of the size of the smaller one, in environment {model.first_env + env}. Impulses stop bodies but do "
-        "not separate them: overlap at the start remains, and rolling ellipsoids and cones sink a little in each step. Set "
-        "recovery_time of MoreauJean, for example to 20 steps, use theta=1, or start outside"
+        "not separate them: overlap at the start or of a fast impact remains. Set recovery_time of MoreauJean, for example to "
+        "20 steps, or start outside"
     )
     return [RunWarning(text, WarningLevel.CAUTION)]
 
