@@ -110,6 +110,9 @@ def add_crossing_edge(
     gap = wp.dot(normal, start_1 - start_2)
     if gap > reach.margin or gap < -reach.depth:
         return
+    for patch in range(MAX_PATCHES):
+        if patches[patch].count > 0 and wp.dot(patches[patch].normal, normal) > SAME_NORMAL:
+            return
     fraction_1, fraction_2 = closest_on_lines(start_1, end_1, start_2, end_2)
     inside = fraction_1 >= double(0.0) and fraction_1 <= double(1.0)
     if not (inside and fraction_2 >= double(0.0) and fraction_2 <= double(1.0)):
@@ -303,11 +306,6 @@ def mesh_manifold(
                         )  # fmt: skip
                     other = next_leaf_in_box(pending, leaf.top, other.top, geometries, side.other, side.pose, near)
             leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, side.own, still, box)
-    found = wp.int32(0)
-    for patch in range(MAX_PATCHES):
-        found += patches[patch].count
-    if found == 0:
-        add_crossing_edges(
-            geometries, features, first, geometry_1, second, geometry_2, pose, kappa, reach, pending, patches,
-            candidates,
-        )  # fmt: skip
+    add_crossing_edges(
+        geometries, features, first, geometry_1, second, geometry_2, pose, kappa, reach, pending, patches, candidates
+    )
