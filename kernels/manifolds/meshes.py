@@ -2,8 +2,8 @@
 
 Pairs of opposing faces touch where their common area, seen along the normal of one of them, has a small gap. Of both, the
 face above whose plane the whole other face is higher is the reference. Areas that are narrower than deep are side walls that
-overlap, and do not count. Faces with equal normals, within 1°, are one patch; of more than ``MAX_PATCHES``, those with the
-smallest gaps remain. Without any patch, crossing edges are searched.
+overlap, and do not count. Faces with equal normals, within 1°, are one patch. Convex edges that cross are a patch of one point, unless
+a patch of faces has their normal. Of more than ``MAX_PATCHES``, those with the smallest gaps remain.
 """
 
 import warp as wp
@@ -307,5 +307,16 @@ def mesh_manifold(
                     other = next_leaf_in_box(pending, leaf.top, other.top, geometries, side.other, side.pose, near)
             leaf = next_leaf_in_box(pending, 0, leaf.top, geometries, side.own, still, box)
     add_crossing_edges(
-        geometries, features, first, geometry_1, second, geometry_2, pose, kappa, reach, pending, patches, candidates
+        geometries,
+        features,
+        first,
+        geometry_1,
+        second,
+        geometry_2,
+        pose,
+        kappa,
+        reach,
+        pending,
+        patches,
+        candidates,
     )
