@@ -131,7 +131,7 @@ def manifold_rows(real: type) -> wp.Kernel:
                     )  # fmt: skip
                     row = solve_result.count[env] - 1
                     if manifold_points.carries[env, slot] == 0:
-                        # The stored impulse is that of another point.
+                        # The stored impulse is that of another point. Its gap is kept: a rolling body changes its points.
                         rows[env, row].impulse = t.vec3()
                         rows[env, row].mu = material[env, first_material + number].mu_static
                     rows[env, row].is_new = wp.where(changed, 1, 0)

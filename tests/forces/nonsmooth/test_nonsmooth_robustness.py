@@ -77,8 +77,8 @@ def test_rocking_capsule_does_not_sink(device):
     model = scene.build(device=device, precision="float64")
     model["log.angular_velocity"] = (0.0, 0.1, 0.0)
     run = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean()).run(2.0, ["touch.penetration"], every=0.1)
-    # The overlap of 0.1 mm at the start remains. A change releases an end for a step, and 2 g h² are kept at most.
-    assert run["touch.penetration"].values.max() < 1e-4 + 3.0 * G * 1e-3**2
+    # The overlap of 0.1 mm at the start remains. Up to g h² more is kept, and an end that was released falls for a step.
+    assert run["touch.penetration"].values.max() < 1e-4 + 2.0 * G * 1e-3**2
 
 
 def test_slipping_contact_has_slip_mode_and_dynamic_friction(device):
