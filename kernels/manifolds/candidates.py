@@ -10,8 +10,9 @@ from warpcontact.kernels.manifolds.features import Feature, is_before, same_feat
 double = wp.float64
 vec3d = wp.vec3d
 
-#: Patches of a pair, and points of a patch.
-MAX_PATCHES = 4
+#: Patches of a pair with a polyhedron that is not convex, and of a convex polyhedron with a curved solid.
+MAX_PATCHES, CURVED_PATCHES = 6, 4
+#: Points of a patch.
 POINTS = 4
 #: Candidates of a patch.
 CANDIDATES = 32

@@ -117,7 +117,7 @@ def add_vertex_below(
         add_candidate(patches, candidates, 0, position, gap, feature)
 
 
-@wp.func
+@wp.func(inline=False)
 def add_vertices_below(
     geometries: Geometries,
     features: Features,

@@ -10,7 +10,7 @@ import warp as wp
 from warpcontact.kernels.body_contact.face_trees import next_leaf_in_box, start_traversal
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, no_motion
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, bounding_box, plane_offset
-from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, Candidate, Patch, add_candidate
+from warpcontact.kernels.manifolds.candidates import Candidate, Patch, add_candidate
 from warpcontact.kernels.manifolds.collect import Reach
 from warpcontact.kernels.manifolds.convex import EDGE_BIAS, EDGES, NO_REFERENCE, Reference
 from warpcontact.kernels.manifolds.curved_edge_points import add_edge_contact, add_edges, add_vertex_below_end
@@ -416,7 +416,7 @@ def add_deepest_point(
 def candidate_count(patches: wp.array(dtype=Patch)):
     """Returns the number of candidates of all patches."""
     found = wp.int32(0)
-    for patch in range(MAX_PATCHES):
+    for patch in range(patches.shape[0]):
         found += patches[patch].count
     return found
 
@@ -425,7 +425,7 @@ def candidate_count(patches: wp.array(dtype=Patch)):
 def smallest_gap(patches: wp.array(dtype=Patch)):
     """Returns the smallest gap of the candidates of all patches, infinite without any [m]."""
     gap = double(wp.inf)
-    for patch in range(MAX_PATCHES):
+    for patch in range(patches.shape[0]):
         if patches[patch].count > 0:
             gap = wp.min(gap, patches[patch].gap)
     return gap

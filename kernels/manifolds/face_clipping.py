@@ -20,14 +20,18 @@ from warpcontact.kernels.manifolds.features import (
 double = wp.float64
 vec3d = wp.vec3d
 
-#: Vertices of a face, and of an outline.
-FACE_CORNERS, OUTLINE_CORNERS = 4, 48
-#: Corners of an outline that is cut by the edges of another one.
-CLIPPED_CORNERS = 2 * OUTLINE_CORNERS
 # Cosine of two faces from which on they do not face each other: an angle of 1.15° from being normal to each other.
 FACING = wp.constant(double(0.02))
 # Distance from a cut, relative to the size, up to which a corner beyond it is inside.
 ON_EDGE = wp.constant(double(1.0e-9))
+
+
+def clip_buffer_size(outline_corners: int) -> int:
+    """Returns the size of the working memory of ``clip_outline`` for outlines of at most so many corners.
+
+    A common area has at most as many corners as both outlines together. The memory holds it twice: before and after a cut.
+    """
+    return 2 * (2 * outline_corners)
 
 
 #: A corner of the common area of two outlines: its position on the other outline, in the frame of the reference solid, and its height
@@ -172,7 +176,7 @@ def clip_outline(
         other_outline: An outline in the plane of this face.
         pose: Pose of the other solid in the frame of the reference solid.
         size: Length relative to which positions are rounded [m].
-        corners: Working memory of two times ``CLIPPED_CORNERS``.
+        corners: Working memory of ``clip_buffer_size`` corners.
     """
     normal = geometries.normal[reference_face]
     first_other = features.outline_start[other_outline]
@@ -201,6 +205,7 @@ def clip_outline(
             corners[i] = clipped_corner(position, wp.dot(normal, position - origin), after)
     count = wp.where(cuts_own, own_count, other_count)
     cuts = wp.where(cuts_own, other_count, own_count)
+    room = corners.shape[0] // 2
     source = wp.int32(0)
     start = vec3d()
     for cut in range(-1, cuts):
@@ -227,17 +232,17 @@ def clip_outline(
             least = wp.min(least, wp.dot(inward, corner_position(corners[source + i])) + shift)
         if least == double(0.0):
             continue
-        target = CLIPPED_CORNERS - source
+        target = room - source
         kept = wp.int32(0)
         value = wp.dot(inward, corner_position(corners[source])) + shift
         for i in range(count):
             following = source + wp.where(i == count - 1, 0, i + 1)
             value_after = wp.dot(inward, corner_position(corners[following])) + shift
             inside = value >= double(0.0)
-            if inside and kept < CLIPPED_CORNERS:
+            if inside and kept < room:
                 corners[target + kept] = corners[source + i]
                 kept += 1
-            if inside != (value_after >= double(0.0)) and kept < CLIPPED_CORNERS:
+            if inside != (value_after >= double(0.0)) and kept < room:
                 fraction = value / (value - value_after)
                 corner = corners[source + i]
                 code_after = wp.where(inside, code, edge_after(corner))

@@ -24,7 +24,6 @@ from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.lowlevel.warps import lane, lane_count
 from warpcontact.kernels.manifolds.candidates import (
     CANDIDATES,
-    MAX_PATCHES,
     POINTS,
     Candidate,
     Patch,
@@ -38,7 +37,7 @@ from warpcontact.kernels.manifolds.culling import clear_points_of, culling_funct
 from warpcontact.kernels.manifolds.curved import add_curved_above, curved_manifold
 from warpcontact.kernels.manifolds.curved_pairs import curved_pair_manifold
 from warpcontact.kernels.manifolds.curved_separation import SUPPORTS, CurvedPair, Support
-from warpcontact.kernels.manifolds.face_clipping import CLIPPED_CORNERS, ClippedCorner
+from warpcontact.kernels.manifolds.face_clipping import ClippedCorner, clip_buffer_size
 from warpcontact.kernels.manifolds.features import Feature, Features
 from warpcontact.kernels.manifolds.meshes import mesh_manifold
 from warpcontact.kernels.manifolds.point_matching import (
@@ -84,8 +83,6 @@ vec3d = wp.vec3d
 # Kinds of pairs.
 ON_HALF_SPACE, BOTH_CONVEX, MESHES = (wp.constant(i) for i in range(3))
 CURVED_ON_HALF_SPACE, CURVED_ON_FACES, BOTH_CURVED = (wp.constant(i) for i in range(3, 6))
-#: Points, candidates and clipped corners of a pair.
-MAX_POINTS, ALL_CANDIDATES, CLIP_BUFFER = MAX_PATCHES * POINTS, MAX_PATCHES * CANDIDATES, 2 * CLIPPED_CORNERS
 
 
 @wp.func
@@ -150,7 +147,13 @@ def pair_with_curved(first: SolidGeometry, second: SolidGeometry, first_in_secon
 
 @functools.cache
 def find_manifolds(
-    real: type, has_convex: bool, has_meshes: bool, has_curved: bool, has_curved_pairs: bool
+    real: type,
+    has_convex: bool,
+    has_meshes: bool,
+    has_curved: bool,
+    has_curved_pairs: bool,
+    patch_count: int,
+    outline_corners: int,
 ) -> wp.Kernel:
     """Returns the kernel that finds the manifolds of nonsmooth pairs; items: these pairs.
 
@@ -160,7 +163,11 @@ def find_manifolds(
         has_meshes: Whether there are other pairs of polyhedra, without half-spaces.
         has_curved: Whether there are curved solids on half-spaces.
         has_curved_pairs: Whether there are other pairs with a curved solid.
+        patch_count: Largest number of patches of a pair.
+        outline_corners: Largest number of corners of an outline.
     """
+    point_count, candidate_count = patch_count * POINTS, patch_count * CANDIDATES
+    clipped_count = clip_buffer_size(outline_corners)
     t = structs(real)
     Model, State = t.Model, t.State
     BodyContacts = body_contact_structs(real).BodyContacts
@@ -330,12 +337,12 @@ def find_manifolds(
         manifold_points: ManifoldPoints,
         body_contacts: BodyContacts,
     ):
-        corners = wp.zeros(shape=(CLIP_BUFFER,), dtype=ClippedCorner)
-        patches = wp.zeros(shape=(MAX_PATCHES,), dtype=Patch)
-        candidates = wp.zeros(shape=(ALL_CANDIDATES,), dtype=Candidate)
+        corners = wp.zeros(shape=(clipped_count,), dtype=ClippedCorner)
+        patches = wp.zeros(shape=(patch_count,), dtype=Patch)
+        candidates = wp.zeros(shape=(candidate_count,), dtype=Candidate)
         chosen = wp.zeros(shape=(POINTS,), dtype=wp.int32)
-        points = wp.zeros(shape=(MAX_POINTS,), dtype=ManifoldPoint)
-        taken = wp.zeros(shape=(MAX_POINTS,), dtype=wp.int32)
+        points = wp.zeros(shape=(point_count,), dtype=ManifoldPoint)
+        taken = wp.zeros(shape=(point_count,), dtype=wp.int32)
         pending = wp.zeros(shape=(PENDING_NODES,), dtype=wp.int32)
         supports = wp.zeros(shape=(SUPPORTS,), dtype=Support)
         tasks = TaskList()
@@ -440,7 +447,7 @@ def find_manifolds(
                     contact_status = DISABLED
                     reference = NO_REFERENCE
                 elif not is_distant:
-                    for patch in range(MAX_PATCHES):
+                    for patch in range(patch_count):
                         patches[patch].count = 0
                     patches[0].lost_gap = double(wp.inf)
                     kind = pair_kind(first, second, are_convex)
@@ -493,7 +500,7 @@ def find_manifolds(
                             )  # fmt: skip
                             reference = found_curved.code
                             history_out.likely[env, number] = found_curved.likely
-                    for patch in range(MAX_PATCHES):
+                    for patch in range(patch_count):
                         if patches[patch].count > 0:
                             deepest = wp.min(deepest, patches[patch].gap)
                     if deepest < -setting.max_depth:

@@ -3,7 +3,7 @@
 Pairs of opposing faces touch where their common area, seen along the normal of one of them, has a small gap. Of both, the
 face above whose plane the whole other face is higher is the reference. Areas that are narrower than deep are side walls that
 overlap, and do not count. Faces with equal normals, within 1°, are one patch. Convex edges that cross are a patch of one point, unless
-a patch of faces has their normal. Of more than ``MAX_PATCHES``, those with the smallest gaps remain.
+a patch of faces has their normal. If there are more than the arrays of a thread hold, those with the smallest gaps remain.
 """
 
 import warp as wp
@@ -22,7 +22,7 @@ from warpcontact.kernels.body_contact.surface_queries import (
     bounding_box,
     plane_offset,
 )
-from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, Candidate, Patch
+from warpcontact.kernels.manifolds.candidates import Candidate, Patch
 from warpcontact.kernels.manifolds.collect import (
     Reach,
     ReferenceSide,
@@ -33,7 +33,6 @@ from warpcontact.kernels.manifolds.collect import (
     width_of,
 )
 from warpcontact.kernels.manifolds.face_clipping import (
-    FACE_CORNERS,
     ClippedCorner,
     corner_height,
     heights_of_outline,
@@ -59,7 +58,7 @@ def patch_for(patches: wp.array(dtype=Patch), normal: vec3d, gap: double):
     """
     worst = wp.int32(-1)
     largest = gap
-    for patch in range(MAX_PATCHES):
+    for patch in range(patches.shape[0]):
         if patches[patch].count == 0:
             patches[patch].normal = normal
             patches[patch].gap = double(wp.inf)
@@ -110,7 +109,7 @@ def add_crossing_edge(
     gap = wp.dot(normal, start_1 - start_2)
     if gap > reach.margin or gap < -reach.depth:
         return
-    for patch in range(MAX_PATCHES):
+    for patch in range(patches.shape[0]):
         if patches[patch].count > 0 and wp.dot(patches[patch].normal, normal) > SAME_NORMAL:
             return
     fraction_1, fraction_2 = closest_on_lines(start_1, end_1, start_2, end_2)
@@ -136,10 +135,8 @@ def add_crossing_edge(
 
 
 @wp.func
-def owns_sharp_edge(features: Features, geometry: int, face: int, i: int, count: int):
+def owns_sharp_edge(features: Features, geometry: int, face: int, i: int):
     """Returns the edge ``i`` of a face if it is convex and the face is the first of its two faces; otherwise −1."""
-    if i >= count:
-        return -1
     edge = features.face_edge[face][i]
     if edge >= features.sharp_end[geometry] or features.edge[edge][2] != face:
         return -1
@@ -176,10 +173,10 @@ def add_crossing_edges(
             while other.end_face > other.first_face:
                 for face_1 in range(other.first_face, other.end_face):
                     count_1 = corner_count(geometries.face[face_1])
-                    for k in range(FACE_CORNERS):
-                        number_2 = owns_sharp_edge(features, geometry_2, face_2, k, count_2)
-                        for i in range(FACE_CORNERS):
-                            number_1 = owns_sharp_edge(features, geometry_1, face_1, i, count_1)
+                    for k in range(count_2):
+                        number_2 = owns_sharp_edge(features, geometry_2, face_2, k)
+                        for i in range(count_1):
+                            number_1 = owns_sharp_edge(features, geometry_1, face_1, i)
                             if number_1 >= 0 and number_2 >= 0:
                                 add_crossing_edge(
                                     geometries, features, first, second, pose, number_1, number_2, kappa, reach,
@@ -246,7 +243,7 @@ def add_face_pair(
         )  # fmt: skip
 
 
-@wp.func
+@wp.func(inline=False)
 def mesh_manifold(
     geometries: Geometries,
     features: Features,

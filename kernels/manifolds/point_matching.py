@@ -7,7 +7,6 @@ tenth of the size of its patch.
 import warp as wp
 from warpcontact.kernels.manifolds.candidates import (
     CANDIDATES,
-    MAX_PATCHES,
     Candidate,
     Patch,
     candidate_feature,
@@ -42,7 +41,7 @@ def mark_previous_points(
     end: int,
 ):
     """Marks the candidates that are points of the last step, which are in slots ``start`` to ``end``."""
-    for patch in range(MAX_PATCHES):
+    for patch in range(patches.shape[0]):
         for i in range(CANDIDATES * patch, CANDIDATES * patch + patches[patch].count):
             one = candidates[i]
             feature = candidate_feature(one)
@@ -65,7 +64,7 @@ def choose_all(
 ):
     """Writes the points of all patches to ``points``; returns their number, at most ``capacity``."""
     count = wp.int32(0)
-    for patch in range(MAX_PATCHES):
+    for patch in range(patches.shape[0]):
         found = choose_points(patches[patch], candidates, CANDIDATES * patch, size, chosen)
         for i in range(found):
             if count < capacity:

@@ -18,7 +18,7 @@ import warp as wp
 from warpcontact.kernels.body_contact.curved_solids import CAPSULE, CURVED, CYLINDER, ELLIPSOID
 from warpcontact.kernels.body_contact.solids import Geometries, RelativePose, no_motion
 from warpcontact.kernels.body_contact.surface_queries import SolidGeometry, largest_extent
-from warpcontact.kernels.manifolds.candidates import CANDIDATES, MAX_PATCHES, Candidate, Patch, candidate_feature
+from warpcontact.kernels.manifolds.candidates import CANDIDATES, Candidate, Patch, candidate_feature
 from warpcontact.kernels.manifolds.features import Feature, Features, vertex_feature
 from warpcontact.kernels.manifolds.nearest_points import (
     EDGE,
@@ -164,7 +164,7 @@ def are_on_faces(patches: wp.array(dtype=Patch), candidates: wp.array(dtype=Cand
 
     Others turn if the solid rolls on an edge; their patches have the nearest points of both solids.
     """
-    for patch in range(MAX_PATCHES):
+    for patch in range(patches.shape[0]):
         for i in range(CANDIDATES * patch, CANDIDATES * patch + patches[patch].count):
             if is_nearest_point(candidate_feature(candidates[i])):
                 return False

@@ -80,7 +80,7 @@ def test_more_normals_than_patches_are_counted_and_reported(law, device):
     model = in_socket(False, law, device, 0.01)
     sim = wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean())
     with pytest.warns(
-        wc.RunWarning, match=r"fit: two solids touched with more than 4 different normals in 1 of 2 env"
+        wc.RunWarning, match=r"fit: two solids touched with more than 6 different normals in 1 of 2 env"
     ):
         sim.run(5e-3, ["fit.overflow"], every=1e-3)
     np.testing.assert_array_equal(model.sensor("fit.overflow"), [5, 0])

@@ -28,7 +28,6 @@ from warpcontact.kernels.body_contact.patches import PATCH_COUNT
 from warpcontact.kernels.body_contact.records import BodyContactSettings, Patches, SolidPairs, body_contact_structs
 from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs, history_precision
-from warpcontact.kernels.manifolds.candidates import MAX_PATCHES
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.body_contact import BodyContact, reference_share
 from warpcontact.scene.status import ContactStatus
@@ -310,7 +309,7 @@ class BodyContactSet(ForceElement):
                 WarningLevel.ERROR,
             )
         text = (
-            f"{name}: two solids touched with more than {MAX_PATCHES} different normals in {count} of {envs} environments "
+            f"{name}: two solids touched with more than {self.active_manifolds.patch_count} different normals in {count} of {envs} environments "
             f"(first: {first}). The areas with the smallest gaps acted. Use several surfaces instead of one mesh, or "
             f"compliant=[{name!r}]; {name}.overflow counts such steps"
         )

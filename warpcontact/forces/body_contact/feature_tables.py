@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def declare_features(
     geometries: Sequence[Polyhedron | None], face_counts: Sequence[int], layout: "AllocationPlan", purpose: str
-) -> Features:
+) -> tuple[Features, int]:
     """Declares the features of geometries; ``None`` is a half-space or a curved solid.
 
     Args:
@@ -25,6 +25,9 @@ def declare_features(
         face_counts: Number of faces of those that are no polyhedra: 1 for a half-space, 0 for a curved solid.
         layout: Allocation plan to which the tables are added.
         purpose: Their purpose, for memory estimates.
+
+    Returns:
+        The features, and the largest number of corners of an outline.
     """
     names = (
         "corner", "neighbor", "vertex_plane", "edge", "face_edge", "face_plane", "plane_face", "box_plane",
@@ -111,7 +114,7 @@ def declare_features(
     features = Features()
     for name, variable in Features.vars.items():
         layout.constant(purpose, features, name, tables[name], variable.type.dtype)
-    return features
+    return features, max((one.max() for one in counts["outline"] if len(one)), default=0)
 
 
 def _normal_trees(geometry: Polyhedron, own: PolyhedronFeatures) -> tuple[NormalTree, NormalTree]:

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP
 from warpcontact.forces.sensor import Sensor
+from warpcontact.geometry.polyhedron_features import MAX_OUTLINE
 from warpcontact.kernels.lowlevel import task_lists
 from warpcontact.kernels.manifolds import acceptance, manifold
-from warpcontact.kernels.manifolds.candidates import MAX_PATCHES, POINTS
+from warpcontact.kernels.manifolds.candidates import POINTS
 from warpcontact.kernels.manifolds.records import ManifoldHistory, ManifoldPairs, manifold_structs
 from warpcontact.kernels.nonsmooth import manifold_rows
 from warpcontact.kernels.types import WORLD
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from warpcontact.storage.allocation_plan import AllocationPlan
 
 _PURPOSE = "body contacts"
+# Sizes of the search kernels for outlines: faces only, and any convex part of a plane.
+_OUTLINE_CORNERS = (4, MAX_OUTLINE)
 # name: (array of the points, unit, meaning, shape)
 _POINT_SENSORS: dict[str, tuple[str, str, str, tuple[int, ...]]] = {
     "point": ("position", "m", "point of contact, world; NaN without a point", (3,)),
@@ -46,6 +49,7 @@ class ManifoldSet:
         body_contacts: The set.
         count: Number of pairs.
         slot_count: Largest number of points of all pairs.
+        patch_count: Largest number of patches of a pair.
         contacts: The body contacts, with their ranges of pairs and of points.
     """
 
@@ -60,12 +64,15 @@ class ManifoldSet:
         tables = body_contacts.tables
         numbers: list[int] = []
         starts = [0]
+        patch_counts = {pair: tables.patch_count(*pair) for contact in contacts for pair in contact.pairs}
+        self.patch_count = max(patch_counts.values())
         self.contacts: dict[BodyContact, tuple[slice, slice]] = {}
         for contact, items in contacts.items():
             first_pair, first_slot = len(numbers), starts[-1]
             numbers += range(items.start, items.stop)
-            for first, second in contact.pairs:
-                patches = 1 if tables.has_one_patch(first, second) else MAX_PATCHES
+            for pair in contact.pairs:
+                # The kernel searches all pairs with several patches for the same number of them.
+                patches = 1 if patch_counts[pair] == 1 else self.patch_count
                 starts.append(starts[-1] + patches * POINTS)
             self.contacts[contact] = slice(first_pair, len(numbers)), slice(first_slot, starts[-1])
         self.count, self.slot_count = len(numbers), starts[-1]
@@ -74,14 +81,15 @@ class ManifoldSet:
         self.pairs = ManifoldPairs()
         layout.constant(_PURPOSE, self.pairs, "item", numbers, wp.int32)
         layout.constant(_PURPOSE, self.pairs, "slot_start", starts, wp.int32)
-        self.features = tables.declare_features(layout)
+        self.features, corners = tables.declare_features(layout)
+        self._outline_corners = next(limit for limit in _OUTLINE_CORNERS if corners <= limit)
         slots, pairs = per_env(self.slot_count), per_env(self.count)
         layout.array(_PURPOSE, self.pairs, "results", wp.int32, pairs, transient=True)
         ranges: dict[str, Allowed] = {
             "feature_1": (0, np.iinfo(np.int32).max),
             "feature_2": (0, np.iinfo(np.int32).max),
             "is_closed": (0, 1),
-            "count": (0, MAX_PATCHES * POINTS),
+            "count": (0, self.patch_count * POINTS),
             "reference": (-1, np.iinfo(np.int32).max),
             "overflow": (0, np.iinfo(np.int32).max),
             "likely": (np.iinfo(np.int32).min, np.iinfo(np.int32).max),
@@ -114,7 +122,7 @@ class ManifoldSet:
         """Returns the launch that finds the manifolds in ``state``, for a step of length ``step`` [env, 0] [s]."""
         one = self.body_contacts
         return plan.prepare(
-            manifold.find_manifolds(self.real, *self._kinds),
+            manifold.find_manifolds(self.real, *self._kinds, self.patch_count, self._outline_corners),
             self.count,
             threads=task_lists.thread_count(plan.count * self.count),
             status=status,
@@ -231,7 +239,7 @@ class ManifoldSet:
             yield Sensor(
                 f"{contact.name}.overflow",
                 "-",
-                f"number of steps since reset in which areas in contact had none of the {MAX_PATCHES} patches of a pair",
+                f"number of steps since reset in which areas in contact had none of the {self.patch_count} patches of a pair",
                 _column(self.history, "overflow", pairs.start if contact.single else pairs),
                 items=0 if contact.single else contact.count,
             )

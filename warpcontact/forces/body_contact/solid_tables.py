@@ -22,6 +22,7 @@ from warpcontact.kernels.body_contact.solids import (
     Solids,
 )
 from warpcontact.kernels.body_contact.surface_queries import SolidBoxes
+from warpcontact.kernels.manifolds.candidates import CURVED_PATCHES, MAX_PATCHES
 from warpcontact.kernels.manifolds.features import Features
 from warpcontact.kernels.shapes.base import Plane
 from warpcontact.kernels.shapes.base import Shape as Form
@@ -142,14 +143,16 @@ class SolidTables:
         kind, scale = CURVED_KINDS[solid.kind], curved_scale(solid.kind, sizes)
         return 0.5 * (kind.upper + kind.lower) * scale, 0.5 * (kind.upper - kind.lower) * scale
 
-    def has_one_patch(self, first: Solid, second: Solid) -> bool:
-        """Returns whether all points have one normal: on half-spaces, of convex polyhedra, and of two curved solids."""
+    def patch_count(self, first: Solid, second: Solid) -> int:
+        """Returns the largest number of patches of a pair: one on half-spaces, of convex polyhedra, and of two curved solids."""
         geometries = [self._geometries_of(solid) for solid in (first, second)]
-        if all(one in CURVED_KINDS for own in geometries for one in own):
-            return True
-        return geometries[1] == [Plane] or all(
-            isinstance(one, Polyhedron) and has_convex_features(one) for own in geometries for one in own
-        )
+        polyhedra = [one for own in geometries for one in own if isinstance(one, Polyhedron)]
+        if geometries[1] == [Plane] or not polyhedra:
+            return 1
+        if not all(has_convex_features(one) for one in polyhedra):
+            return MAX_PATCHES
+        is_curved_pair = any(one in CURVED_KINDS for own in geometries for one in own)
+        return CURVED_PATCHES if is_curved_pair else 1
 
     def pair_kinds(self, pairs: Sequence[tuple[Solid, Solid]]) -> tuple[bool, bool, bool, bool]:
         """Returns whether there are pairs of convex polyhedra, of other polyhedra, and two kinds of pairs with curved solids.
@@ -175,8 +178,12 @@ class SolidTables:
         first = self._first[self._numbers[solid]]
         return self._geometries[first : first + (len(solid.meshes) if isinstance(solid, Surface) else 1)]
 
-    def declare_features(self, layout: "AllocationPlan") -> Features:
-        """Declares the features of the geometries, for manifolds."""
+    def declare_features(self, layout: "AllocationPlan") -> tuple[Features, int]:
+        """Declares the features of the geometries, for manifolds.
+
+        Returns:
+            The features, and the largest number of corners of an outline.
+        """
         polyhedra = [one if isinstance(one, Polyhedron) else None for one in self._geometries]
         faces = [0 if one in CURVED_KINDS else 1 for one in self._geometries]
         return declare_features(polyhedra, faces, layout, _PURPOSE)
