@@ -1,7 +1,8 @@
 """Depth of the overlap of two solids, which of them is the reference, and the weight of columns.
 
 The depth D is the largest distance of a point of either surface inside the other solid from the surface of that solid, among
-samples of the surface if the other solid has more than ``MAX_PLANES`` planes. The weight w of a column is 1 up to t = 2 D and
+samples of the surface if the other solid has more than ``MAX_PLANES`` planes. The samples change continuously with the pose: those
+inside the parts of a face count less on slender parts, because parts appear and disappear as lines. The weight w of a column is 1 up to t = 2 D and
 0 from t = 4 D on: columns on side walls run along the overlap, not across it, and do not count.
 
 Columns stand on the faces of both solids. Those on the second solid have a share that grows with the deviation from flatness
@@ -30,7 +31,6 @@ from warpcontact.kernels.body_contact.convex_columns import (
     store_planes,
 )
 from warpcontact.kernels.body_contact.face_trees import (
-    Leaf,
     distance_to_surface,
     is_inside_solid,
     next_leaf_in_box,
@@ -62,6 +62,8 @@ vec3d = wp.vec3d
 # Weight of columns: 1 up to FULL_WEIGHT × D, 0 from NO_WEIGHT × D on.
 FULL_WEIGHT = wp.constant(double(2.0))
 NO_WEIGHT = wp.constant(double(4.0))
+# Area of a polygon relative to its squared perimeter, 1/16 for a square, from which on its midpoints and center are full samples.
+SLENDER = wp.constant(double(0.01))
 # Faces of each solid whose smallest depth is stored.
 SLOTS_PER_SIDE = wp.constant(16)
 #: Length of the array of smallest depths.
@@ -91,7 +93,8 @@ def deepest_of(
 ):
     """Returns the largest depth below the surface of the other solid on a polygon, at least ``deepest`` [m].
 
-    It is evaluated at corners, midpoints of edges and the center. A column is at least as long as its base is deep.
+    It is evaluated at corners, and at midpoints of edges and the center, which count less on slender polygons. A column is at least
+    as long as its base is deep.
 
     Args:
         corners: Corners of the polygons of the thread.
@@ -102,26 +105,37 @@ def deepest_of(
         other: The other solid.
         pose: Its pose in the solid of the face.
         polygon: Corners (u, v, t) with the depths t of columns.
-        is_inside: Whether the polygon is known to be inside the other solid; then the depths t do not matter.
+        is_inside: Whether the polygon is known to be inside the other solid.
         deepest: Depth of other polygons [m].
     """
     middle = centroid(corners, polygon, DOWN)
     to_other = wp.transpose(pose.rotation)
     direction = -(to_other * frame.normal)
+    perimeter = double(0.0)
+    for i in range(polygon.count):
+        edge = corner(corners, polygon, (i + 1) % polygon.count) - corner(corners, polygon, i)
+        perimeter += wp.sqrt(edge[0] * edge[0] + edge[1] * edge[1])
+    slenderness = SLENDER * perimeter * perimeter
+    between = double(1.0)
+    area = polygon_area(corners, polygon, DOWN)
+    if area < slenderness:
+        between = area / slenderness
     for i in range(2 * polygon.count + 1):
         point = sample_of_polygon(corners, polygon, middle, i)
-        if is_inside or point[2] > deepest:
+        factor = double(1.0)
+        if i % 2 == 1 or i == 2 * polygon.count:
+            factor = between
+        if factor * point[2] > deepest:
             position = to_other * (position_on_face(frame, point[0], point[1]) - pose.origin)
-            limit = point[2]
-            if is_inside:
-                limit = INFINITE
-            depth = distance_to_surface(pending, bottom, geometries, other, position, limit, deepest)
+            depth = factor * distance_to_surface(
+                pending, bottom, geometries, other, position, point[2], deepest / factor
+            )
             if depth <= deepest:
                 continue
             if not is_inside:
                 if not is_inside_solid(pending, bottom, geometries, other, position, direction):
                     continue
-            deepest = wp.max(deepest, depth)
+            deepest = depth
     return deepest
 
 
@@ -185,31 +199,25 @@ def overlap_of_face(
     position = to_other * (position_on_face(frame, middle[0], middle[1]) - pose.origin)
     distance = distance_to_surface(pending, bottom, geometries, other, position, INFINITE, double(0.0))
     is_whole = distance >= radius
-    if is_whole and not is_inside_solid(pending, bottom, geometries, other, position, -(to_other * frame.normal)):
-        return result
+    if is_whole:
+        if not is_inside_solid(pending, bottom, geometries, other, position, -(to_other * frame.normal)):
+            return result
+        if distance + radius <= deepest:
+            result.area = polygon_area(corners, whole_face(corners, frame), DOWN)
+            result.least = double(0.0)  # not known
+            return result
     to_face = pose_in_face(frame)
     box = columns_box(frame, other, INFINITE)
     top = start_traversal(pending, bottom, other)
     while top > bottom:
-        leaf = Leaf()
-        if is_whole:
-            # One polygon, the whole face.
-            leaf.end_face = 1
-            leaf.top = bottom
-        else:
-            leaf = next_leaf_in_box(pending, bottom, top, geometries, other, to_face, box)
+        leaf = next_leaf_in_box(pending, bottom, top, geometries, other, to_face, box)
         top = leaf.top
         for other_face in range(leaf.first_face, leaf.end_face):
-            polygon = Polygon()
-            leaves = is_whole
-            if is_whole:
-                polygon = whole_face(corners, frame)
-            else:
-                leaves = is_exit(geometries, frame, other_face)
-                shallowest = double(0.0)
-                if not leaves:
-                    shallowest = -ramp_height(other)
-                polygon = column_polygon(corners, geometries, frame, other, other_face, shallowest, INFINITE)
+            leaves = is_exit(geometries, frame, other_face)
+            shallowest = double(0.0)
+            if not leaves:
+                shallowest = -ramp_height(other)
+            polygon = column_polygon(corners, geometries, frame, other, other_face, shallowest, INFINITE)
             if polygon.count == 0:
                 continue
             area = polygon_area(corners, polygon, DOWN)
@@ -221,7 +229,6 @@ def overlap_of_face(
                     )
             else:
                 result.area -= polygon.weight * area
-            # 0 for the whole face, whose depths are not known.
             for i in range(polygon.count):
                 result.least = wp.min(result.least, corner(corners, polygon, i)[2])
     return result

@@ -1,6 +1,8 @@
-"""Depth of the overlap of two boxes against linear programs: the largest distance of a point of a face inside the other box."""
+"""Depth of the overlap: that of boxes against linear programs, and continuous on paths of other solids."""
 
 import numpy as np
+import pytest
+import trimesh
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
@@ -71,3 +73,45 @@ def test_depth_of_boxes_is_the_largest_distance_of_a_point_from_the_surface(devi
     assert np.count_nonzero(expected) > 0.8 * envs
     # The tolerance of the linear programs.
     np.testing.assert_allclose(model.sensor("press.depth"), expected, atol=1e-7)
+
+
+#: Pairs of a convex part that is wholly inside a solid of many planes on some of the path, with the seeds of paths.
+DEEP_PAIRS = {
+    "plate in ball": (trimesh.creation.box((0.5, 0.5, 0.1)), trimesh.creation.icosphere(1, 0.5), 0),
+    "box in cylinder": (
+        trimesh.creation.box((0.3, 0.3, 0.3)),
+        trimesh.creation.cylinder(0.5, 0.5, sections=12),
+        0,
+    ),
+    "box in cone": (trimesh.creation.box((0.3, 0.3, 0.3)), trimesh.creation.cone(0.5, 0.6, sections=10), 1),
+}
+
+
+@pytest.mark.parametrize("parts", DEEP_PAIRS.values(), ids=DEEP_PAIRS)
+def test_depth_does_not_jump_where_a_face_enters_a_solid_entirely(parts, device):
+    """The largest change in a step becomes as much smaller as the step."""
+    *meshes, seed = parts
+    steps, divisions = 400, 3
+    scene = wc.Scene(gravity=(0, 0, 0))
+    rng = np.random.default_rng(seed)
+    turns = Rotation.random(2, random_state=rng)
+    bodies = [scene.add_body(mass=1.0, inertia=(1, 1, 1), name=name) for name in ("part", "solid")]
+    solids = [
+        scene.add_surface(wc.Mesh(mesh.vertices, mesh.faces), body)
+        for mesh, body in zip(meshes, bodies, strict=True)
+    ]
+    material = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1.0))
+    scene.add_body_contact(*solids, material, name="press")
+    model = scene.build(envs=steps + 1, device=device, precision="float64")
+    model["solid.orientation"] = turns[1].as_quat()
+    shift, turn = 0.4 * rng.normal(size=3), rng.uniform(-0.1, 0.1, 3)
+    x, found = np.linspace(0.0, 1.0, steps + 1), []
+    for _ in range(divisions):
+        model["part.position"] = x[:, None] * shift
+        model["part.orientation"] = (Rotation.from_rotvec(x[:, None] * turn) * turns[0]).as_quat()
+        changes = np.abs(np.diff(model.sensor("press.depth")))
+        largest = changes.argmax()
+        found.append(changes[largest])
+        x = np.linspace(x[largest], x[largest + 1], steps + 1)
+    # Samples of slender parts fade while their area grows to 1/100 of the squared perimeter: slopes can be a hundred times steeper there.
+    assert 0.0 < found[-1] < 200.0 * found[0] / steps ** (divisions - 1)
