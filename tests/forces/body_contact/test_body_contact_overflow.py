@@ -1,4 +1,4 @@
-"""More normals in contact than patches of a pair: they are counted, and a run warns."""
+"""Contacts of which a run warns at its end: more normals than patches of a pair, which are counted, and deep overlap."""
 
 import warnings
 
@@ -145,3 +145,23 @@ def test_run_warns_of_deep_nonsmooth_contacts(device):
     for part in ("touch: sides and floor overlap by 0.00", "2 % of the size", "environment 2", "recovery_time"):
         assert part in found[0][0]
     assert not found[1]
+
+
+def test_run_warns_of_deep_compliant_contacts(device):
+    """A box at rest that sinks by 8 % or 12 % of its size."""
+    scene = wc.Scene()
+    box = scene.add_body(mass=1.0, inertia=(1e-3,) * 3, name="box")
+    shape = scene.add_shape(box, wc.shapes.RoundedBox((0.05,) * 3), name="sides")
+    floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
+    law = wc.laws.ElasticFoundation(stiffness=1e5)
+    scene.add_body_contact(shape, floor, wc.ContactMaterial(law=law), name="touch")
+    depths = np.array([8e-3, 12e-3])
+    model = scene.build(envs=2, device=device)
+    model["box.mass"] = 1e5 * 0.1**2 * depths / 9.81
+    model["box.position"] = np.column_stack([np.zeros((2, 2)), 0.05 - depths])
+    with pytest.warns(wc.RunWarning) as issued:
+        wc.Simulation(model, 1e-4).run(1e-3, ["touch.depth"], every=1e-3)
+    found = [str(one.message) for one in issued if "at the end of the run" in str(one.message)]
+    assert len(found) == 1
+    for part in ("touch: sides and floor overlap by 0.012 m", "12 % of the size", "environment 1", "stiffer law"):
+        assert part in found[0]

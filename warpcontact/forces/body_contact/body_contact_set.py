@@ -316,10 +316,11 @@ class BodyContactSet(ForceElement):
         return RunWarning(text, WarningLevel.CAUTION)
 
     def final_warnings(self, model: "Environments") -> list[RunWarning]:
-        """Returns a warning about nonsmooth contacts that are deep at the end of a run."""
-        if self.active_manifolds is None:
-            return []
-        return deep_contact_warnings(model, self.tables, list(self.active_manifolds.contacts))
+        """Returns warnings about contacts that are deep at the end of a run."""
+        nonsmooth = [] if self.active_manifolds is None else list(self.active_manifolds.contacts)
+        compliant = [contact for contact in self.items if contact not in nonsmooth]
+        found = deep_contact_warnings(model, self.tables, nonsmooth, nonsmooth=True)
+        return found + deep_contact_warnings(model, self.tables, compliant, nonsmooth=False)
 
     def advice_needs_evaluation(self, model: "Environments", nonsmooth: "NonsmoothContacts | None") -> bool:
         """Returns whether some contacts are nonsmooth, or bodies might overlap enough to be ejected."""

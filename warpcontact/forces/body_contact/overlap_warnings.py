@@ -1,4 +1,4 @@
-"""Warnings about overlap: bodies that compliant body contact ejects at the start, and deep nonsmooth contacts at the end of a run.
+"""Warnings about overlap: bodies that compliant body contact ejects at the start, and deep contacts at the end of a run.
 
 The elastic energy of a pair is K h^(n+1)/(n+1), with the mean depth h of its columns, times the area if the law is a pressure. The part
 e² of it becomes kinetic energy of both bodies, in proportion to their mobility. Overlaps are evaluated only if those of the bounding
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 # Ratio of ejection speed and expected speed above which a warning is issued.
 _EXCESS = 2.0
-# Depth of a nonsmooth contact over the size of the smaller solid above which a warning is issued.
-_DEEP = 0.01
+# Depth over the size of the smaller solid above which a warning is issued, for nonsmooth and compliant contacts.
+_DEEP, _DEEP_COMPLIANT = 0.01, 0.1
 
 
 @dataclass(frozen=True)
@@ -75,26 +75,37 @@ def body_overlap_warnings(model: "Environments", estimates: Sequence[PairEstimat
 
 
 def deep_contact_warnings(
-    model: "Environments", tables: "SolidTables", contacts: Sequence["BodyContact"]
+    model: "Environments", tables: "SolidTables", contacts: Sequence["BodyContact"], *, nonsmooth: bool
 ) -> list[RunWarning]:
-    """Returns a warning about the deepest pair of nonsmooth contacts, relative to the size of its smaller solid, if it is deep."""
-    worst = None
+    """Returns a warning about the deepest pair of contacts, relative to the size of its smaller solid, if it is deep.
+
+    Args:
+        model: The model.
+        tables: The solids.
+        contacts: Body contacts that are all nonsmooth, or all compliant.
+        nonsmooth: Whether they are nonsmooth.
+    """
+    worst, limit = None, _DEEP if nonsmooth else _DEEP_COMPLIANT
     for contact in contacts:
         depth = column_of_sensor(model, f"{contact.name}.depth")
         for number, pair in enumerate(contact.pairs):
             sizes = [2.0 * tables.bounding_box(model, solid)[1].max(axis=1) for solid in pair]
             ratio = np.nan_to_num(depth[:, number] / np.minimum(*sizes))
             env = int(ratio.argmax())
-            if ratio[env] > _DEEP and (worst is None or ratio[env] > worst[0]):
+            if ratio[env] > limit and (worst is None or ratio[env] > worst[0]):
                 worst = ratio[env], env, depth[env, number], contact, pair
     if worst is None:
         return []
     ratio, env, deepest, contact, pair = worst
+    advice = (
+        "Impulses stop bodies but do not separate them: overlap at the start or of a fast impact remains. Set recovery_time of "
+        "MoreauJean, for example to 20 steps, or start outside"
+        if nonsmooth
+        else "The law is too soft for this load, or a body was faster than its size in a few steps. Use a stiffer law or a shorter dt"
+    )
     text = (
         f"{contact.name}: {pair[0].name} and {pair[1].name} overlap by {deepest:.3g} m at the end of the run, "
-        f"{100.0 * ratio:.2g} % of the size of the smaller one, in environment {model.first_env + env}. Impulses stop bodies but do "
-        "not separate them: overlap at the start or of a fast impact remains. Set recovery_time of MoreauJean, for example to "
-        "20 steps, or start outside"
+        f"{100.0 * ratio:.2g} % of the size of the smaller one, in environment {model.first_env + env}. {advice}"
     )
     return [RunWarning(text, WarningLevel.CAUTION)]
 
