@@ -46,6 +46,9 @@ vec3d = wp.vec3d
 
 # Cosine of the angle up to which two normals belong to one patch, 1°.
 SAME_NORMAL = wp.constant(double(0.99984769515639))
+# Depth along the normal of a face, relative to that of crossing edges of this face, below which only the face has a contact. Edges that
+# are nearly parallel, such as those of a hole and of a part that lies on it, have common normals into the wall of the hole.
+SHALLOW = wp.constant(double(0.1))
 # Distance relative to the size by which the second solid is preferred as the reference.
 PREFERENCE = wp.constant(double(1.0e-6))
 
@@ -109,6 +112,12 @@ def add_crossing_edge(
     gap = wp.dot(normal, start_1 - start_2)
     if gap > reach.margin or gap < -reach.depth:
         return
+    if gap < double(0.0):
+        # Depth along the normals of the four faces, relative to that along the common normal.
+        least = wp.min(wp.dot(normal, geometries.normal[edge_2[2]]), wp.dot(normal, geometries.normal[edge_2[3]]))
+        least = wp.min(least, -wp.max(wp.dot(normal, n_1), wp.dot(normal, n_2)))
+        if least < SHALLOW:
+            return
     for patch in range(patches.shape[0]):
         if patches[patch].count > 0 and wp.dot(patches[patch].normal, normal) > SAME_NORMAL:
             return
