@@ -29,9 +29,10 @@ def add_row(real: type) -> wp.Function:
     """Returns the device function that adds a contact to the rows of its environment.
 
     Its arguments are ``(state, rows, solve_result, stored_impulses, statistics, env, contact, material, body_1,
-    body_2, arm_1, arm_2, normal, gap, recovery, radius, torsion_radius)``. ``state`` has the velocities before the
-    step, from which restitution computes the approach speed. ``recovery`` is the fraction of an overlap that is
-    removed per second [1/s]. A gap that has become smaller since the contact closed is restored without it.
+    body_2, arm_1, arm_2, normal, gap, held_gap, recovery, radius, torsion_radius)``. ``state`` has the velocities before the
+    step, from which restitution computes the approach speed. ``held_gap`` is the gap that other contacts of the same solids
+    had kept, or −∞ [m]. ``recovery`` is the fraction of an overlap that is
+    removed per second [1/s]. A gap that has become smaller since the contact closed is restored by ``lost_gaps.py``.
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
@@ -62,6 +63,7 @@ def add_row(real: type) -> wp.Function:
         arm_2: vec3,
         normal: vec3,
         gap: real,
+        held_gap: real,
         recovery: real,
         radius: real,
         torsion_radius: real,
@@ -77,7 +79,7 @@ def add_row(real: type) -> wp.Function:
         new_row.spinning = material.spinning * torsion_radius
         new_row.mu = material.mu_static
         new_row.is_new = 1
-        new_row.held_gap = wp.min(gap, real(0.0))
+        new_row.held_gap = wp.max(wp.min(gap, real(0.0)), held_gap)
         if stored_impulses[env, contact].stamp == statistics.step[env]:
             new_row.is_new = 0
             new_row.impulse = stored_impulses[env, contact].impulse
@@ -93,16 +95,18 @@ def add_row(real: type) -> wp.Function:
         new_row.recovery = recovery * wp.max(-gap - solve_result.slack[env], real(0.0))
         lost_gap = new_row.held_gap - solve_result.slack[env] - gap
         if lost_gap > real(0.0):
-            # Each step changes gaps by an error of second order in h. Overlaps by it are removed in the next step.
+            # Each step changes gaps by an error of second order in h.
             slip = velocity_at(state, env, body_1, arm_1) - velocity_at(state, env, body_2, arm_2)
             motion = speed_of_arm(state, env, body_1, arm_1) + speed_of_arm(state, env, body_2, arm_2)
             motion += wp.length(slip)
-            new_row.recovery = wp.max(new_row.recovery, wp.min(lost_gap / solve_result.step[env], motion))
+            new_row.lost_speed = wp.min(lost_gap / solve_result.step[env], motion)
+            new_row.lost_speed = wp.max(new_row.lost_speed - new_row.recovery, real(0.0))
         if material.compliance > real(0.0):
             # A spring with the force −g/c at the end of the step.
             h = solve_result.step[env]
             new_row.softness = material.compliance / (h * h)
             new_row.recovery = -gap / h
+            new_row.lost_speed = real(0.0)
             new_row.restitution = real(0.0)
             new_row.restitution_speed = real(0.0)
         row = solve_result.count[env]
@@ -168,7 +172,7 @@ def mesh_rows(real: type) -> wp.Kernel:
                         state, rows, solve_result, stored_impulses, statistics, env, contact,
                         material[env, contact],
                         body_1, body_2, arm_W, apart_W + arm_W, contacts.normal[env, contact],
-                        contacts.gap[env, contact], recovery, geometry.radius, torsion_radius,
+                        contacts.gap[env, contact], -real(wp.inf), recovery, geometry.radius, torsion_radius,
                     )  # fmt: skip
 
     return add_mesh_rows
@@ -222,8 +226,8 @@ def shape_rows(real: type, rolls: bool) -> wp.Kernel:
                     state, rows, solve_result, stored_impulses, statistics, env, contact,
                     material[env, contact], contact_shapes.body_a[item], contact_shapes.body_b[item],
                     shape_contacts.arm_a[env, item], shape_contacts.arm_b[env, item],
-                    shape_contacts.normal[env, item], shape_contacts.gap[env, item], recovery,
-                    radius, torsion_radius,
+                    shape_contacts.normal[env, item], shape_contacts.gap[env, item], -real(wp.inf),
+                    recovery, radius, torsion_radius,
                 )  # fmt: skip
 
     return collect_shape_contacts
@@ -284,7 +288,7 @@ def particle_rows(real: type) -> wp.Kernel:
                     add(
                         state, rows, solve_result, stored_impulses, statistics, env, first + slot + k,
                         pair_material, body_1, body_2, arm, separation + arm,
-                        pair_records.normal[env, slot + k], pair_records.gap[env, slot + k], recovery,
+                        pair_records.normal[env, slot + k], pair_records.gap[env, slot + k], -real(wp.inf), recovery,
                         radius_1 * radius_2 / (radius_1 + radius_2), torsion_radius,
                     )  # fmt: skip
 

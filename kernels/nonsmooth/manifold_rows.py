@@ -76,6 +76,21 @@ def manifold_rows(real: type) -> wp.Kernel:
         height = wp.dot(normal, manifold_points.arm_1[env, deepest] - manifold_points.arm_1[env, slot])
         return wp.where(wp.abs(height) <= gap - manifold_points.gap[env, deepest], height, zero)
 
+    @wp.func
+    def gap_of_pair(
+        stored_impulses: records.StoredImpulses, statistics: records.StepStatistics, env: int, first: int, end: int
+    ):
+        """Returns the largest gap that closed points of a pair held in the last step, −∞ without any [m].
+
+        New points hold it as well, because a rolling body changes its points.
+        """
+        largest = -real(wp.inf)
+        for contact in range(first, end):
+            stored = stored_impulses[env, contact]
+            if stored.stamp == statistics.step[env] and (stored.mode != MODE_OPEN or stored.held_gap < zero):
+                largest = wp.max(largest, stored.held_gap)
+        return largest
+
     @unique_kernel()
     def add_manifold_rows(
         launch: LaunchRange,
@@ -112,6 +127,7 @@ def manifold_rows(real: type) -> wp.Kernel:
                 body_1 = solids.body[pairs.first[pair]]
                 body_2 = solids.body[pairs.second[pair]]
                 changed = is_changed(stored_impulses, statistics, history, manifold_points, env, start, end, first)
+                held_gap = gap_of_pair(stored_impulses, statistics, env, first + start, first + end)
                 for slot in range(start, end):
                     if manifold_points.is_present[env, slot] == 0:
                         continue
@@ -126,12 +142,12 @@ def manifold_rows(real: type) -> wp.Kernel:
                         arm_2 += shift
                     add(
                         state, rows, solve_result, stored_impulses, statistics, env, first + slot,
-                        material[env, first_material + number], body_1, body_2, arm_1, arm_2, normal, gap, recovery,
-                        zero, zero,
+                        material[env, first_material + number], body_1, body_2, arm_1, arm_2, normal, gap, held_gap,
+                        recovery, zero, zero,
                     )  # fmt: skip
                     row = solve_result.count[env] - 1
                     if manifold_points.carries[env, slot] == 0:
-                        # The stored impulse is that of another point. Its gap is kept: a rolling body changes its points.
+                        # The stored impulse is that of another point.
                         rows[env, row].impulse = t.vec3()
                         rows[env, row].mu = material[env, first_material + number].mu_static
                     rows[env, row].is_new = wp.where(changed, 1, 0)

@@ -180,7 +180,8 @@ def kernel(real: type, room: int) -> wp.Kernel:
             results.normal[env, member] = normal_W
             add(
                 state, rows, solve_result, stored_impulses, statistics, env, first_stored + member, material,
-                body_1, body_2, arm_W, apart_W + arm_W, normal_W, gap, recovery, geometry.radius, torsion_radius,
+                body_1, body_2, arm_W, apart_W + arm_W, normal_W, gap, -real(wp.inf), recovery,
+                geometry.radius, torsion_radius,
             )  # fmt: skip
 
     @unique_kernel(unrolled=1)

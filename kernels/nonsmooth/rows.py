@@ -46,6 +46,9 @@ def row_structs(real: type) -> RowStructs:
         # Additional separation speed per normal impulse, compliance / h² [1/kg]; only with ``is_soft`` of the solvers.
         softness: real
         held_gap: real  # largest gap since the contact became active, at most 0 [m]
+        lost_speed: real  # speed at which a lost part of the gap is restored within the step, ≥ 0 [m/s]
+        missing_speed: real  # least separation speed by the correction of ``lost_gaps.py`` [m/s]
+        correction: real  # its normal impulse [N·s]
         impulse: vec3  # on the first; before a solve the warm start, W [N·s]
         couple: vec3  # of rolling and spinning, on the first, likewise [N·m·s]
         is_new: wp.int32  # 1: the contact was not active in the last step, or its warm start is bad

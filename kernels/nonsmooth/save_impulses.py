@@ -37,12 +37,13 @@ def kernel(real: type, has_joints: bool, rolls: bool) -> wp.Kernel:
     Environments that slept in the step (``skip_sleeping``) become active again.
 
     An impulse P at a contact with relative velocities U⁻ before and U⁺ after dissipates −P·(U⁻ + U⁺)/2. With θ =
-    ½, this and the work of the forces equal the change of the kinetic energy of free bodies.
+    ½, this and the work of the forces equal the change of the kinetic energy of free bodies. The potential energy that bodies get
+    by displacements of ``lost_gaps.py`` is negative dissipation by impacts.
     """
     t = structs(real)
-    vec3, State, Wrenches = t.vec3, t.State, t.Wrenches
+    vec3, Model, State, Wrenches = t.vec3, t.Model, t.State, t.Wrenches
     records = record_structs(real)
-    Rows, SolveResult, BodyResponse, _ = solve_types(real, has_joints)
+    Rows, SolveResult, BodyResponse, VelocityChange = solve_types(real, has_joints)
     StoredImpulse, StoredImpulses, StepStatistics = (
         records.StoredImpulse,
         records.StoredImpulses,
@@ -68,10 +69,12 @@ def kernel(real: type, has_joints: bool, rolls: bool) -> wp.Kernel:
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         tolerance: real,
+        model: Model,
         bodies: wp.int32,
         half_step_state: State,
         rows: Rows,
         body_response: BodyResponse,
+        correction: VelocityChange,  # velocities that act on positions only
         solve_result: SolveResult,
         restitution_limit: RestitutionLimit,
         stored_impulses: StoredImpulses,
@@ -94,6 +97,8 @@ def kernel(real: type, has_joints: bool, rolls: bool) -> wp.Kernel:
                 statistics.largest_residual[env] = wp.max(
                     statistics.largest_residual[env], solve_result.residual[env]
                 )
+            by_friction = wp.float64(0.0)
+            by_impact = wp.float64(0.0)
             unchanged_steps = wp.min(statistics.unchanged_steps[env] + 1, 2)
             if (
                 solve_result.converged[env] == 0
@@ -110,12 +115,16 @@ def kernel(real: type, has_joints: bool, rolls: bool) -> wp.Kernel:
                     and body_response[env, body].linear == vec3()
                 )
                 is_at_rest = is_at_rest and half_step_state.body_angular_velocity[env, body] == vec3()
+                lift = correction[env, body].linear
+                if wp.length_sq(lift) > real(0.0):
+                    # Potential energy that the body gets by displacements.
+                    is_at_rest = wp.bool(False)
+                    weight = model.body_mass[env, body] * model.gravity[env, 0]
+                    by_impact += wp.float64(step[env, 0] * wp.dot(weight, lift))
                 if not (is_at_rest and body_response[env, body].angular == vec3()):
                     unchanged_steps = wp.int32(0)
             per_second = real(1.0) / step[env, 0]
             stick_fraction = real(1.0) - wp.max(ROUNDING, UNSOLVED * tolerance)
-            by_friction = wp.float64(0.0)
-            by_impact = wp.float64(0.0)
             for row_index in range(solve_result.count[env]):
                 row = rows[env, row_index]
                 impulse = row.impulse

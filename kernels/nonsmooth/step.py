@@ -21,7 +21,7 @@ from warpcontact.kernels.joints.bodies import (
     spin_of,
 )
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs, velocity_change_struct
 from warpcontact.kernels.types import (
     BALL,
     ENV_ACTIVE,
@@ -281,12 +281,13 @@ def free_velocities(real: type, has_joints: bool) -> wp.Kernel:
 def full_step(real: type, has_joints: bool) -> wp.Kernel:
     """Returns the kernel that advances each body over the step with the velocities after contact; items: bodies.
 
-    Positions advance with θ times the velocities after contact plus 1 − θ times those before. With ``has_joints`` some
-    bodies have joints; those with prescribed motion are only checked.
+    Positions advance with θ times the velocities after contact plus 1 − θ times those before, and those that restore lost gaps. With
+    ``has_joints`` some bodies have joints; those with prescribed motion are only checked.
     """
     t = structs(real)
     quat, Model, State, Wrenches = t.quat, t.Model, t.State, t.Wrenches
     BodyResponse = wp.array2d(dtype=body_response_struct(real, has_joints))
+    VelocityChange = wp.array2d(dtype=velocity_change_struct(real))
     rotation_functions = rotations.functions(real)
     rotated, spin = rotation_functions.rotated, rotation_functions.spin
     f = bodies.functions(real)
@@ -306,6 +307,7 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
         state_in: State,
         half_step_state: State,
         body_response: BodyResponse,
+        correction: VelocityChange,
         state_out: State,
         env: int,
         body: int,
@@ -318,6 +320,7 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
         w = to_float64(body_response[env, body].angular)
         w_before = to_float64(half_step_state.body_angular_velocity[env, body])
         linear = theta * v + complement * to_float64(state_in.body_linear_velocity[env, body])
+        linear += to_float64(correction[env, body].linear)
         anchor_inertia_B = wp.mat33d()
         momentum = wp.vec3d()
         if motion.kind == BALL:
@@ -327,7 +330,7 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
             inertia_B = matrix_to_float64(model.body_inertia[env, body])
             anchor_inertia_B = inertia_at(inertia_B, wp.float64(model.body_mass[env, body]), arm_B)
             momentum = momentum_of(anchor_inertia_B, q_middle, w)
-        angular = theta * w + complement * w_before
+        angular = theta * w + complement * w_before + to_float64(correction[env, body].angular)
         base, displacement, orientation = pose_after_step(state_in, env, body, motion, linear, angular, dt)
         if motion.kind == BALL:
             w = spin_of(wp.inverse(anchor_inertia_B), quat_to_float64(orientation), momentum)
@@ -348,6 +351,7 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
         state_in: State,
         half_step_state: State,
         body_response: BodyResponse,
+        correction: VelocityChange,  # velocities that act on positions only
         wrenches: Wrenches,
         state_out: State,
     ):
@@ -362,8 +366,8 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
                 if kind != FREE:
                     if kind != TIME_FUNCTION:
                         advance_constrained(
-                            model, state_in, half_step_state, body_response, state_out, env, body, wp.float64(dt),
-                            wp.float64(theta),
+                            model, state_in, half_step_state, body_response, correction, state_out, env, body,
+                            wp.float64(dt), wp.float64(theta),
                         )  # fmt: skip
                     check_body(guard, wrenches, state_out, env, body, status)
                     continue
@@ -371,6 +375,7 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
             velocity = body_response[env, body].linear
             before = state_in.body_position[env, body]
             displacement = dt * (theta * velocity + complement * state_in.body_linear_velocity[env, body])
+            displacement += dt * correction[env, body].linear
             displacement += state_in.body_position_remainder[env, body]
             position = before + displacement
             applied = position - before
@@ -379,7 +384,7 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
             angular_velocity = body_response[env, body].angular
             orientation = q_WB
             if model.body_isotropic_inertia[env, body]:
-                rotation = dt * (theta * angular_velocity + complement * w_W)
+                rotation = dt * (theta * angular_velocity + complement * w_W + correction[env, body].angular)
                 if wp.length_sq(rotation) > real(0.0):
                     orientation = rotated(q_WB, rotation)
             else:
@@ -389,7 +394,7 @@ def full_step(real: type, has_joints: bool) -> wp.Kernel:
                 w_before = half_step_state.body_angular_velocity[env, body]
                 momentum_change_B = inertia_B * wp.quat_rotate_inv(q_middle, angular_velocity - w_before)
                 momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
-                rotation = dt * (theta * angular_velocity + complement * w_before)
+                rotation = dt * (theta * angular_velocity + complement * w_before + correction[env, body].angular)
                 if wp.length_sq(rotation) > real(0.0):
                     orientation = rotated(q_WB, rotation)
                 # Use the change of angular velocity: rounding of the quaternion norm scales rotated vectors, which

@@ -102,7 +102,8 @@ def test_collisions_conserve_momentum_and_do_not_depend_on_the_order_of_bodies(d
             turning += to_world.apply(inertia * to_world.inv().apply(spin))
             turning += np.cross(model.sensor(f"{name}.position"), model.sensor(f"{name}.linear_velocity"))
         start = turns[0].apply(((HALF_1**2).sum() - HALF_1**2) * turns[0].inv().apply(spins))
-        np.testing.assert_allclose(turning, start, atol=1e-9)
+        # Displacements by lost gaps, of up to 10 µm at 2 m/s, change the moments of the linear momenta.
+        np.testing.assert_allclose(turning, start, atol=2e-5)
         energy = run["scene.kinetic_energy"].values
         assert (np.diff(energy, axis=0) < 1e-9).all()
         hit = (run["touch.force"].values != 0).any(axis=(0, 2))

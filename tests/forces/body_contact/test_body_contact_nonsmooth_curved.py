@@ -153,7 +153,7 @@ def test_rolling_solids_do_not_sink(device):
             model[f"body{number}.linear_velocity"] = np.column_stack([seed.normal(0, 0.5, (4, 2)), np.zeros(4)])
             model[f"body{number}.angular_velocity"] = seed.normal(0, 20, (4, 3))
         names = [f"touch{number}.depth" for number in range(3)]
-        run = wc.Simulation(model, dt, wc.integrators.MoreauJean()).run(3.0, names, every=0.02)
+        run = wc.Simulation(model, dt, wc.integrators.MoreauJean(tolerance=1e-6)).run(3.0, names, every=0.02)
         depth[dt] = np.array([run[name].max().item() for name in names])
     # Errors up to g h² are kept. That of a step is up to r ω² h², here with r = 0.02 m and ω up to 50 rad/s.
     assert (depth[1e-3] < (G + 0.02 * 50**2) * 1e-3**2).all()

@@ -18,6 +18,7 @@ from warpcontact.kernels.nonsmooth import (
     accelerated,
     gauss_seidel,
     load_sharing,
+    lost_gaps,
     restitution_limiter,
     sequence,
     step,
@@ -253,9 +254,24 @@ class MoreauJean(Integrator):
                 rows=nonsmooth.rows,
                 solve_result=nonsmooth.solve_result,
             )
-        theta = float(self.theta)
+        launches += plan.prepare(
+            lost_gaps.restore_lost_gaps(real, has_joints),
+            1,
+            status=status,
+            model=a.model,
+            rows=nonsmooth.rows,
+            body_response=nonsmooth.body_response,
+            solve_result=nonsmooth.solve_result,
+            velocity_change=nonsmooth.velocity_change,
+        )
         return launches + plan.prepare(
-            step.full_step(real, has_joints), bodies, status=status, theta=theta, guard=a.guard, **motion
+            step.full_step(real, has_joints),
+            bodies,
+            status=status,
+            theta=float(self.theta),
+            correction=nonsmooth.velocity_change,
+            guard=a.guard,
+            **motion,
         )
 
     def _solve(self, plan: ExecutionPlan, status: wp.array) -> list[wp.Launch]:
